@@ -1,0 +1,93 @@
+"""What a descriptor is computed with; the only place where the defaults of the two models live."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+ModelName = Literal["object", "indoor"]
+FrameKind = Literal["normal", "paper"]
+
+
+@dataclass(frozen=True)
+class DescriptorSettings:
+    """Lengths in cloud units, and what is computed from them."""
+
+    support_radius: float
+    """Radius of the neighbourhood described."""
+    min_radius: float
+    """Radius of the innermost shell, which avoids needless bins near the centre."""
+    lrf_radius: float
+    """Radius of the neighbourhood that gives the local reference frame."""
+    dim: int = 32
+    """Number of values a feature has, where the descriptor lets one choose."""
+    model: ModelName = "object"
+    """Which weights: trained on single objects or on rooms."""
+
+    def __post_init__(self) -> None:
+        for name in ("support_radius", "min_radius", "lrf_radius"):
+            value = getattr(self, name)
+            if not value > 0:
+                raise ValueError(f"{name} must be positive, got {value:g}")
+        if self.min_radius >= self.support_radius:
+            raise ValueError(
+                f"min_radius must be below support_radius ({self.support_radius:g}), got {self.min_radius:g}"
+            )
+        if self.dim < 1:
+            raise ValueError(f"dim must be at least 1, got {self.dim}")
+
+
+@dataclass(frozen=True)
+class ModelDefaults:
+    """Lengths a model was trained with: shares of the diameter if `relative`, else metres."""
+
+    name: ModelName
+    relative: bool
+    voxel_size: float
+    support_radius: float
+    min_radius: float
+    lrf_radius: float
+    normal_radius: float
+    """Of the neighbourhood for normals where a cloud brings none."""
+    tau: float
+    """A point has a true partner if the other cloud comes at least this near (the paper's threshold)."""
+    precision_radius: float
+    """A match this near to the truth counts as right in headline figures."""
+    error_scale: float
+    """Errors from here on are black in the paper's error figure."""
+
+    def scaled(self, diameter: float) -> "ModelDefaults":
+        """The same with every length in cloud units, for clouds of this diameter."""
+        if not self.relative:
+            return self
+        lengths = (
+            "voxel_size", "support_radius", "min_radius", "lrf_radius", "normal_radius", "tau", "precision_radius",
+            "error_scale",
+        )
+        return replace(self, relative=False, **{name: getattr(self, name) * diameter for name in lengths})
+
+
+MODEL_DEFAULTS: dict[ModelName, ModelDefaults] = {
+    "object": ModelDefaults(
+        name="object",
+        relative=True,
+        voxel_size=0.006,
+        support_radius=0.17,
+        min_radius=0.015,
+        lrf_radius=0.02,
+        normal_radius=0.02,
+        tau=0.01,
+        precision_radius=0.01,
+        error_scale=0.03,
+    ),
+    "indoor": ModelDefaults(
+        name="indoor",
+        relative=False,
+        voxel_size=0.03,
+        support_radius=1.2,
+        min_radius=0.1,
+        lrf_radius=0.25,
+        normal_radius=0.1,
+        tau=0.075,
+        precision_radius=0.1,
+        error_scale=0.25,
+    ),
+}
