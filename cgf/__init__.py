@@ -1,0 +1,1 @@
+"""Compact Geometric Features: learned descriptors of points, and what uses them."""
