@@ -1,0 +1,1 @@
+"""Rigid motions, neighbours, downsampling, normals and local frames."""
