@@ -1,0 +1,39 @@
+"""What all tests share: where data and programs are, and how hypothesis searches."""
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Kernels compile in the first example, which then takes seconds: no deadline, and slowness is no failure. The examples
+# of a continuous integration run are the same every time.
+settings.register_profile(
+    "cgf", deadline=None, derandomize="CI" in os.environ, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("cgf")
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of benchmark data and reference results beside the checkout, or a skip that says so."""
+    folder = Path(os.environ.get("CGF_SHARED", ROOT.parent / "shared"))
+    if not (folder / "data").is_dir():
+        reason = f"needs the benchmark data, which is not in {folder}; set CGF_SHARED to its folder"
+        if os.environ.get("CGF_REQUIRE_SHARED"):
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def chromium() -> str:
+    """Path of the Chromium that browser tests drive: CHROMIUM, or the first one on the PATH."""
+    names = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome")
+    path = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.fail("browser tests need Chromium; install it, or set CHROMIUM to its path, or pass -m 'not browser'")
+    return path
