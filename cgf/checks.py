@@ -1,6 +1,6 @@
 """Checks at the border: each raises one sentence that names the value and the remedy."""
 
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 from jaxtyping import Float64
@@ -81,11 +81,12 @@ def check_transform(
     return array
 
 
-def check_positive(value: float, name: str) -> float:
+def check_positive(value: SupportsFloat, name: str) -> float:
     """Return `value` as a float, after checking that it is finite and above zero."""
-    if not np.isfinite(value) or value <= 0:
-        raise ValueError(f"{name} must be positive, got {value:g}")
-    return float(value)
+    number = float(value)
+    if not np.isfinite(number) or number <= 0:
+        raise ValueError(f"{name} must be positive, got {number:g}")
+    return number
 
 
 def _as_float(values: ArrayLike, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
