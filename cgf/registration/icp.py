@@ -95,7 +95,7 @@ def _refine(
         shift = transforms.apply(step, moved.mean(axis=0, keepdims=True))[0] - moved.mean(axis=0)
         if turned < ANGLE_EPSILON_DEG and np.linalg.norm(shift) < SHIFT_EPSILON * config.max_distance:
             break
-    return transforms.invert(center) @ motion
+    return transforms.compose(transforms.invert(center), motion)
 
 
 def _plane_step(

@@ -1,0 +1,1 @@
+"""How good correspondences and motions are, measured against known poses."""
