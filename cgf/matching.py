@@ -20,7 +20,7 @@ EXACT_CHUNK = 1_000_000
 NEVER = np.float32(-1e30)
 """Score of padding: below that of every feature, whose scores are at least -2 after scaling."""
 
-_Candidates = tuple[Int64[np.ndarray, "G"], Int64[np.ndarray, "G"], Float32[np.ndarray, "G"]]
+_Candidates = tuple[Int64[np.ndarray, "_"], Int64[np.ndarray, "_"], Float32[np.ndarray, "_"]]
 """Groups of source rows, target rows, and the best scores between them."""
 
 
