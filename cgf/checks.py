@@ -1,10 +1,17 @@
 """Checks at the border: each raises one sentence that names the value and the remedy."""
 
-from typing import Any, SupportsFloat
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+else:
+    # The union in numpy refuses tuples where annotations are checked while running; our own checks say more anyway.
+    ArrayLike = Any
+
+__all__ = ["ArrayLike", "InputError", "check_finite_rows", "check_points", "check_positive", "check_transform"]
 
 _LARGEST_COORDINATE = 1e100  # squares of anything larger overflow further down
 _FLAT_RATIO = 1e-6

@@ -5,8 +5,8 @@ from functools import reduce
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
+from cgf.checks import ArrayLike
 from cgf.types import PointCloud
 
 

@@ -2,7 +2,7 @@
 
 from cgf.io.clouds import CLOUD_SUFFIXES, read_cloud, write_cloud
 from cgf.io.libraries import import_open3d
-from cgf.io.pairs import PairFiles, numbered_clouds, read_pairs
+from cgf.io.pairs import PairFiles, logged_pairs, numbered_clouds, read_pairs
 from cgf.io.poses import (
     InfoEntry,
     LogEntry,
@@ -20,6 +20,7 @@ __all__ = [
     "PairFiles",
     "import_open3d",
     "index_in_name",
+    "logged_pairs",
     "numbered_clouds",
     "read_cloud",
     "read_info",

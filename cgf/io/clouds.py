@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, UInt8
-from numpy.typing import ArrayLike
 
-from cgf.checks import InputError, check_finite_rows, check_points
+from cgf.checks import ArrayLike, InputError, check_finite_rows, check_points
 from cgf.io.meshes import read_obj, read_stl, vertex_normals
 from cgf.io.pcd import read_pcd
 from cgf.io.ply import read_ply, write_ply

@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from cgf.checks import InputError
 from cgf.io.clouds import CLOUD_SUFFIXES, read_cloud
-from cgf.io.poses import index_in_name
+from cgf.io.poses import index_in_name, read_log
 from cgf.types import Pair, PointCloud
 
 _CACHED_POINTS = 5_000_000
@@ -74,3 +74,20 @@ def numbered_clouds(folder: Path) -> dict[int, Path]:
             )
         found[number] = path
     return found
+
+
+def logged_pairs(folder: Path, *, log: str = "gt.log") -> list[PairFiles]:
+    """The pairs of a trajectory log and the clouds beside it, in the order of the log.
+
+    Raises:
+        InputError: The log or a cloud is missing, or the log is damaged.
+    """
+    clouds = numbered_clouds(folder)
+    pairs = []
+    for entry in read_log(folder / log):
+        for number in (entry.source, entry.target):
+            if number not in clouds:
+                raise InputError(f"{folder} must have the cloud {number} that {log} names, got none with that number")
+        name = f"{folder.name} {entry.source} to {entry.target}"
+        pairs.append(PairFiles(name, clouds[entry.source], clouds[entry.target], entry.target_from_source))
+    return pairs

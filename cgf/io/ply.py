@@ -181,10 +181,10 @@ def _read_text(data: bytes, header: _Header, path: Path) -> _Tables:
 
 
 def _cast(column: Float64[np.ndarray, "N"], dtype: str) -> np.ndarray:
-    if dtype in ("u1", "u2"):
-        highest = np.iinfo(dtype).max
-        return np.clip(np.nan_to_num(column), 0, highest).astype(dtype)
-    return column
+    if dtype not in ("u1", "u2"):
+        return column
+    levels: Float64[np.ndarray, "N"] = np.clip(np.nan_to_num(column), 0, np.iinfo(dtype).max)
+    return levels.astype(dtype)
 
 
 def _text_faces(rows: list[bytes], path: str, numbers: range) -> Int64[np.ndarray, "F 3"]:
@@ -204,7 +204,7 @@ def _text_faces(rows: list[bytes], path: str, numbers: range) -> Int64[np.ndarra
         chosen = np.flatnonzero(lengths == length)
         table = parse_rows([rows[row] for row in chosen], int(length) + 1, path, [numbers[int(row)] for row in chosen])
         triangles.append(_fan(_as_rows(table[:, 1:])))
-    return np.concatenate(triangles) if triangles else np.empty((0, 3), dtype=np.int64)
+    return np.concatenate([np.empty((0, 3), dtype=np.int64), *triangles])
 
 
 def _as_rows(values: Float64[np.ndarray, "F K"]) -> Int64[np.ndarray, "F K"]:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
-from numpy.typing import ArrayLike
 
-from cgf.checks import InputError, check_transform
+from cgf.checks import ArrayLike, InputError, check_transform
 from cgf.io.clouds import check_file
 from cgf.io.tables import read_matrix
 
