@@ -183,8 +183,7 @@ def _read_text(data: bytes, header: _Header, path: Path) -> _Tables:
 def _cast(column: Float64[np.ndarray, "N"], dtype: str) -> np.ndarray:
     if dtype not in ("u1", "u2"):
         return column
-    levels: Float64[np.ndarray, "N"] = np.clip(np.nan_to_num(column), 0, np.iinfo(dtype).max)
-    return levels.astype(dtype)
+    return np.asarray(np.clip(np.nan_to_num(column), 0, np.iinfo(dtype).max), dtype=dtype)
 
 
 def _text_faces(rows: list[bytes], path: str, numbers: range) -> Int64[np.ndarray, "F 3"]:
