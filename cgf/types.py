@@ -21,6 +21,11 @@ class Cancelled(Exception):
     """Long work was given up because its caller no longer wants the result."""
 
 
+def raise_if_cancelled(cancelled: IsCancelled | None) -> None:
+    """Raise `Cancelled` if the caller has given up."""
+    if cancelled is not None and cancelled():
+        raise Cancelled
+
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
@@ -120,8 +125,15 @@ class Descriptor(Protocol):
     @property
     def dim(self) -> int: ...
 
-    def describe(self, cloud: PointCloud, indices: Int64[np.ndarray, "K"]) -> Features:
-        """Describe rows `indices` of `cloud`, whose normals are present."""
+    def describe(
+        self,
+        cloud: PointCloud,
+        indices: Int64[np.ndarray, "K"],
+        *,
+        progress: Progress | None = None,
+        cancelled: IsCancelled | None = None,
+    ) -> Features:
+        """Describe rows `indices` of `cloud`, whose normals are present; rows that cannot be are left out."""
         ...
 
 
@@ -145,4 +157,3 @@ class Pair:
     source: PointCloud
     target: PointCloud
     target_from_source: Float64[np.ndarray, "4 4"] | None = None
-

@@ -59,7 +59,13 @@ class ModelDefaults:
         if not self.relative:
             return self
         lengths = (
-            "voxel_size", "support_radius", "min_radius", "lrf_radius", "normal_radius", "tau", "precision_radius",
+            "voxel_size",
+            "support_radius",
+            "min_radius",
+            "lrf_radius",
+            "normal_radius",
+            "tau",
+            "precision_radius",
             "error_scale",
         )
         return replace(self, relative=False, **{name: getattr(self, name) * diameter for name in lengths})

@@ -44,8 +44,16 @@ class HistogramGrid:
 
         def fill(part: slice) -> None:
             _fill_histograms(
-                centers_32[part], frames_32[part], *self.grid.arguments(), np.float32(self.support_radius),
-                sq_edges, radial_table, cosines, elevation_table, rows[part], counts[part],
+                centers_32[part],
+                frames_32[part],
+                *self.grid.arguments(),
+                np.float32(self.support_radius),
+                sq_edges,
+                radial_table,
+                cosines,
+                elevation_table,
+                rows[part],
+                counts[part],
             )
 
         for_each_block(fill, len(centers), block=_BLOCK)
@@ -109,8 +117,21 @@ def _sector(x, y):
 @njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 @no_type_check
 def _fill_histograms(
-    centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, radial_table, cosines, elevation_table,
-    rows, counts,
+    centers,
+    frames,
+    xs,
+    ys,
+    zs,
+    starts,
+    shape,
+    cell_size,
+    radius,
+    sq_edges,
+    radial_table,
+    cosines,
+    elevation_table,
+    rows,
+    counts,
 ):
     sq_radius = radius * radius
     radial_scale = np.float32(_TABLE_SIZE) / sq_radius

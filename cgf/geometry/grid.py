@@ -53,7 +53,8 @@ def build_grid(points: Float64[np.ndarray, "N 3"], *, cell_size: float) -> Grid:
     cells = np.minimum((local / np.float32(cell_size)).astype(np.int64), shape - 1)
     keys = (cells[:, 2] * shape[1] + cells[:, 1]) * shape[0] + cells[:, 0]
     order = np.argsort(keys, kind="stable")
-    starts = np.searchsorted(keys[order], np.arange(int(np.prod(shape)) + 1))
+    starts = np.zeros(int(np.prod(shape)) + 1, np.int64)
+    np.cumsum(np.bincount(keys, minlength=len(starts) - 1), out=starts[1:])
     xyz = np.ascontiguousarray(local[order].T)
     return Grid(xyz, order, starts, (int(shape[0]), int(shape[1]), int(shape[2])), float(cell_size), low)
 
@@ -74,4 +75,4 @@ def cell_range(value, radius, cell_size, count):
 def axis_gap(value, cell, cell_size):
     """Distance along one axis from `value` to the slab of `cell`; zero inside."""
     low = cell * cell_size
-    return max(max(low - value, value - low - cell_size), np.float32(0.0))
+    return max(low - value, value - low - cell_size, np.float32(0.0))

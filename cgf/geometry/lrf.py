@@ -174,7 +174,7 @@ def _fill_signs(queries, xs, ys, zs, starts, shape, cell_size, radius, axes, cou
         if 2 * positive < count:
             signs[k] = -1.0
         elif 2 * positive == count and count >= MIN_NEIGHBORS:
-            # Insertion sort by distance: ties are rare and neighbourhoods small, and NumPy's sort takes seconds to compile.
+            # Insertion sort by distance: ties are rare, neighbourhoods small, and NumPy's sort compiles for seconds.
             for i in range(1, count):
                 side, sq_distance, j = sides[i], sq_distances[i], i
                 while j > 0 and sq_distances[j - 1] > sq_distance:

@@ -12,9 +12,9 @@ def thread_count() -> int:
 
 
 def for_each_block(function: Callable[[slice], None], count: int, *, block: int) -> None:
-    """Call `function` on consecutive slices of `range(count)`, `block` long, in as many threads as there are processors.
+    """Call `function` on consecutive slices of `range(count)`, in as many threads as there are processors.
 
-    The slices do not depend on the number of threads, so neither do results written per slice.
+    Slices are `block` long whatever the number of threads, so results written per slice do not depend on it.
     """
     blocks = [slice(start, min(start + block, count)) for start in range(0, count, block)]
     if len(blocks) < 2 or thread_count() == 1:

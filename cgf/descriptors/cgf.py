@@ -1,0 +1,90 @@
+"""Features from spherical histograms: the learned CGF, and their principal components."""
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Float32, Int64
+
+from cgf.descriptors.network import Network, read_network, shipped_weights, unit_rows
+from cgf.descriptors.settings import DescriptorSettings, ModelName
+from cgf.descriptors.spherical_histogram import histogram_grid
+from cgf.geometry.lrf import estimate_lrf
+from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
+
+_CHUNK = 1024
+"""Points described at a time: their histograms take 9 MB."""
+
+
+@lru_cache(maxsize=8)
+def load_network(name: str, model: ModelName) -> Network:
+    """Weights that come with the package, e.g. `cgf` trained on `object`.
+
+    Raises:
+        ValueError: There are none, or they contradict their card.
+    """
+    return read_network(shipped_weights(f"{name}-{model}"))
+
+
+class HistogramDescriptor:
+    """Frame, histogram and network for each point; `name` is `cgf` or `pca`."""
+
+    def __init__(self, name: str, settings: DescriptorSettings, *, network: Network | None = None) -> None:
+        self._name = name
+        self.settings = settings
+        self.network = load_network(name, settings.model) if network is None else network
+        if settings.dim > self.network.card.dims[-1]:
+            raise ValueError(f"dim must be {self.network.card.dims[-1]} or less, got {settings.dim}")
+
+    @property
+    def name(self) -> str:
+        """`cgf` or `pca`."""
+        return self._name
+
+    @property
+    def dim(self) -> int:
+        """Columns of the features."""
+        return self.settings.dim
+
+    def describe(
+        self,
+        cloud: PointCloud,
+        indices: Int64[np.ndarray, "K"],
+        *,
+        progress: Progress | None = None,
+        cancelled: IsCancelled | None = None,
+    ) -> Features:
+        """Describe rows `indices` of `cloud`; points without a frame or a neighbour are left out.
+
+        Args:
+            cloud: Prepared at about the density the network was trained on, with normals.
+            indices: Rows of `cloud`.
+            progress: Told the share of points done.
+            cancelled: Asked between chunks.
+
+        Raises:
+            ValueError: The cloud has no normals.
+            Cancelled: `cancelled` returned True.
+        """
+        if cloud.normals is None:
+            raise ValueError("cloud must have normals, got none; estimate them first")
+        card, settings = self.network.card, self.settings
+        frames, defined = estimate_lrf(
+            cloud.points, cloud.normals, indices, radius=settings.lrf_radius, kind=card.frame
+        )
+        rows, frames = indices[defined], frames[defined]
+        grid = histogram_grid(cloud.points, support_radius=settings.support_radius, min_radius=settings.min_radius)
+        vectors = np.empty((len(rows), settings.dim), np.float32)
+        filled = np.ones(len(rows), dtype=np.bool_)
+        for start in range(0, len(rows), _CHUNK):
+            raise_if_cancelled(cancelled)
+            part = slice(start, min(start + _CHUNK, len(rows)))
+            histograms, counts = grid.histograms(cloud.points[rows[part]], frames[part])
+            vectors[part] = self._embed(histograms)
+            filled[part] = counts > 0
+            if progress is not None:
+                progress(part.stop / len(rows), "describing points")
+        return Features(rows[filled], vectors[filled], self._name)
+
+    def _embed(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K D"]:
+        vectors = self.network.embed(histograms)[:, : self.settings.dim]
+        return unit_rows(vectors) if self.network.card.kind == "azimuth" else vectors

@@ -1,0 +1,193 @@
+"""The networks that compress a histogram, as plain matrix products; trained with torch in `cgf.training`.
+
+Inference needs no torch: importing it takes seconds, and these are a few matrix products a point.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float32
+
+from cgf.descriptors.settings import FrameKind, ModelName
+from cgf.descriptors.spherical_histogram import AZIMUTH_BINS, HISTOGRAM_BINS
+
+NetworkKind = Literal["azimuth", "paper", "pca"]
+Weights = dict[str, Float32[np.ndarray, "..."]]
+
+COLUMN_BINS = HISTOGRAM_BINS // AZIMUTH_BINS
+INPUT_GAIN = 16.0
+"""The square root of a histogram has unit length over 2,244 bins; this brings its entries to the order of 1."""
+
+
+@dataclass(frozen=True)
+class NetworkCard:
+    """What weights are, how they were made and what they reach; the JSON file beside them."""
+
+    kind: NetworkKind
+    model: ModelName
+    dims: tuple[int, ...]
+    """Widths that may be asked for, ascending; each is a prefix of the next where there are several."""
+    frame: FrameKind
+    relative: bool
+    """Lengths below are shares of the diameter, else metres."""
+    support_radius: float
+    min_radius: float
+    lrf_radius: float
+    voxel_sizes: tuple[float, ...]
+    command: str = ""
+    """Remakes the weights."""
+    data: str = ""
+    seed: int = 0
+    scores: dict[str, float] = field(default_factory=dict)
+    training: dict[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self), indent=2) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str, *, source: str) -> "NetworkCard":
+        """Read a card.
+
+        Raises:
+            ValueError: The text is no card; the sentence names `source`.
+        """
+        try:
+            values = json.loads(text)
+            values["dims"], values["voxel_sizes"] = tuple(values["dims"]), tuple(values["voxel_sizes"])
+            return cls(**values)
+        except (KeyError, TypeError, json.JSONDecodeError) as error:
+            raise ValueError(f"{source} must be a network card written by cgf train, got: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Weights with their card; call `embed` on histograms."""
+
+    card: NetworkCard
+    weights: Weights
+
+    def __post_init__(self) -> None:
+        expected = expected_shapes(self.card, self.weights)
+        for name, shape in expected.items():
+            found = self.weights[name].shape if name in self.weights else "none"
+            if found != shape:
+                raise ValueError(
+                    f"weights must fit their card ({self.card.kind}, {self.card.dims[-1]} dimensions): "
+                    f"{name} must have shape {shape}, got {found}"
+                )
+
+    def embed(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K D"]:
+        """Map histograms, whose rows sum to 1, to vectors of the largest of the card's dimensions.
+
+        Those of the `azimuth` network are unit length, and so is every prefix once it is divided by its length.
+        """
+        return _EMBED[self.card.kind](histograms, self.weights)
+
+
+def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:
+    """Shape of every array that a network of this kind needs; widths of hidden layers are read off `weights`."""
+    out = card.dims[-1]
+    if card.kind == "pca":
+        return {"mean": (HISTOGRAM_BINS,), "components": (out, HISTOGRAM_BINS)}
+    if card.kind == "paper":
+        widths = [HISTOGRAM_BINS, *[512] * 5, out]
+        layers = list(pairwise(widths))
+        return {f"layers.{i}.weight": (b, a) for i, (a, b) in enumerate(layers)} | {
+            f"layers.{i}.bias": (b,) for i, (_, b) in enumerate(layers)
+        }
+    shapes: dict[str, tuple[int, ...]] = {}
+    width = COLUMN_BINS
+    for i in range(3):
+        after = len(weights.get(f"columns.{i}.bias", ()))
+        shapes |= {f"columns.{i}.weight": (after, 3 * width), f"columns.{i}.bias": (after,)}
+        width = after
+    hidden = len(weights.get("hidden.bias", ()))
+    return shapes | {
+        "hidden.weight": (hidden, 2 * width),
+        "hidden.bias": (hidden,),
+        "out.weight": (out, hidden),
+        "out.bias": (out,),
+    }
+
+
+def unit_rows(vectors: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K D"]:
+    """Rows divided by their length; rows of length zero stay zero."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(length > 0, length, np.float32(1.0))
+
+
+def _embed_azimuth(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
+    """Circular convolutions over the 12 azimuth columns, then their maximum and mean: turning x changes little."""
+    columns = np.sqrt(histograms).reshape(len(histograms), AZIMUTH_BINS, COLUMN_BINS)
+    columns *= np.float32(INPUT_GAIN)
+    for i in range(3):
+        before, here, after = np.split(weights[f"columns.{i}.weight"], 3, axis=1)
+        flat = columns.reshape(-1, columns.shape[2])
+        shape = (len(histograms), AZIMUTH_BINS, len(here))
+        mixed = (flat @ here.T).reshape(shape)
+        mixed += np.roll((flat @ before.T).reshape(shape), 1, axis=1)
+        mixed += np.roll((flat @ after.T).reshape(shape), -1, axis=1)
+        mixed += weights[f"columns.{i}.bias"]
+        columns = np.maximum(mixed, 0, out=mixed)
+    pooled = np.concatenate([columns.max(axis=1), columns.mean(axis=1)], axis=1)
+    hidden = np.maximum(pooled @ weights["hidden.weight"].T + weights["hidden.bias"], 0)
+    return unit_rows(hidden @ weights["out.weight"].T + weights["out.bias"])
+
+
+def _embed_paper(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
+    """Five hidden layers of 512 with max(., 0), as in section 5 of the paper."""
+    values = histograms
+    for i in range(5):
+        values = np.maximum(values @ weights[f"layers.{i}.weight"].T + weights[f"layers.{i}.bias"], 0)
+    return values @ weights["layers.5.weight"].T + weights["layers.5.bias"]
+
+
+def _embed_pca(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
+    """Projection on the principal components of training histograms: the paper's linear baseline."""
+    return (histograms - weights["mean"]) @ weights["components"].T
+
+
+_EMBED: dict[NetworkKind, Callable[[np.ndarray, Weights], np.ndarray]] = {
+    "azimuth": _embed_azimuth,
+    "paper": _embed_paper,
+    "pca": _embed_pca,
+}
+
+
+def read_network(path: Path) -> Network:
+    """Read `NAME.safetensors` and the card `NAME.json` beside it.
+
+    Raises:
+        ValueError: A file is missing, broken, or the two contradict each other.
+    """
+    from safetensors.numpy import load_file
+
+    card_path = path.with_suffix(".json")
+    for file in (path, card_path):
+        if not file.is_file():
+            raise ValueError(f"weights must consist of {path.name} and {card_path.name}, got no file {file}")
+    card = NetworkCard.from_json(card_path.read_text(), source=str(card_path))
+    try:
+        weights = load_file(path)
+    except Exception as error:  # The reader's own exception class is not part of its public interface.
+        raise ValueError(f"{path} must be a safetensors file, got: {error}") from error
+    return Network(card, {name: np.asarray(values, np.float32) for name, values in weights.items()})
+
+
+def write_network(path: Path, network: Network) -> None:
+    """Write the weights and, beside them, their card."""
+    from safetensors.numpy import save_file
+
+    save_file(network.weights, path)
+    path.with_suffix(".json").write_text(network.card.to_json())
+
+
+def shipped_weights(name: str) -> Path:
+    """Path of weights that come with the package, e.g. `cgf-object`."""
+    return Path(str(resources.files("cgf.descriptors") / "weights" / f"{name}.safetensors"))

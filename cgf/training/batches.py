@@ -1,0 +1,127 @@
+"""Batches for the contrastive recipe: each is a function of the seed and its number, so a run can resume anywhere."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64
+from scipy.spatial import cKDTree
+
+from cgf.descriptors.spherical_histogram import histogram_grid
+from cgf.geometry.transforms import apply
+from cgf.training.fragments import Fragments, Overlap
+from cgf.types import PointCloud
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Histograms of corresponding points: row i of the source belongs to row i of the target."""
+
+    source: Float32[np.ndarray, "B 2244"]
+    target: Float32[np.ndarray, "B 2244"]
+    ignored: Bool[np.ndarray, "B B"]
+    """Entries that are no negatives: near the true partner, or from another overlap of the same scene."""
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """Changes drawn anew for every overlap of every batch."""
+
+    radius_jitter: float = 0.1
+    """The support is scaled by a factor within 1 plus or minus this, the same for both clouds."""
+    normal_noise_deg: float = 3.0
+    """Standard deviation of the tilt of the frames' z axes."""
+    keep_at_least: float = 0.6
+    """A random share of the neighbours, between this and 1, is kept in each cloud."""
+
+
+class Batches:
+    """Draws batches of `size` correspondences from `per_batch` overlaps at a time."""
+
+    def __init__(
+        self,
+        fragments: Fragments,
+        *,
+        support_radius: float,
+        min_radius: float,
+        tau: float,
+        size: int,
+        per_batch: int,
+        augmentation: Augmentation,
+        seed: int,
+    ) -> None:
+        self.fragments = fragments
+        self.support_radius, self.min_radius, self.tau = support_radius, min_radius, tau
+        self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
+        self._scenes: dict[int, list[Overlap]] = {}
+        for overlap in fragments.overlaps:
+            self._scenes.setdefault(overlap.scene, []).append(overlap)
+        self._tree = lru_cache(maxsize=None)(lambda cloud: cKDTree(fragments.clouds[cloud].points))
+
+    def draw(self, step: int) -> Batch:
+        """Batch number `step`."""
+        rng = np.random.default_rng([self.seed, 7, step])
+        share = self.size // self.per_batch
+        sources: list[np.ndarray] = []
+        targets, positions, partners, scenes = [], [], [], []
+        while len(sources) < self.per_batch:
+            scene = int(rng.choice(list(self._scenes)))
+            overlap = self._scenes[scene][int(rng.integers(len(self._scenes[scene])))]
+            if rng.random() < 0.5:
+                overlap = _reversed(overlap)
+            found = self._correspondences(overlap, share, rng)
+            if found is None:
+                continue
+            rows, partner_rows = found
+            source, target = self.fragments.clouds[overlap.source], self.fragments.clouds[overlap.target]
+            jitter = self.augmentation.radius_jitter
+            factor = rng.uniform(1 - jitter, 1 + jitter)
+            sources.append(self._histograms(source, rows, factor, rng))
+            targets.append(self._histograms(target, partner_rows, factor, rng))
+            positions.append(apply(overlap.target_from_source, source.points[rows]))
+            partners.append(target.points[partner_rows])
+            scenes.append(scene)
+        ignored = np.repeat(np.repeat(np.equal.outer(scenes, scenes), share, axis=0), share, axis=1)
+        for number, (moved, true) in enumerate(zip(positions, partners, strict=True)):
+            block = slice(number * share, (number + 1) * share)
+            ignored[block, block] = np.linalg.norm(moved[:, None] - true[None], axis=2) < 1.5 * self.tau
+        np.fill_diagonal(ignored, False)
+        return Batch(np.concatenate(sources), np.concatenate(targets), ignored)
+
+    def _correspondences(
+        self, overlap: Overlap, count: int, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Rows of `count` source points with a partner within a voxel, and of the partners; None if there are fewer."""
+        points = self.fragments.clouds[overlap.source].points
+        candidates = rng.permutation(len(points))[: 12 * count]
+        moved = apply(overlap.target_from_source, points[candidates])
+        distances, partners = self._tree(overlap.target).query(moved, distance_upper_bound=overlap.voxel_size)
+        near = np.flatnonzero(np.isfinite(distances))[:count]
+        return (candidates[near], partners[near]) if len(near) == count else None
+
+    def _histograms(
+        self, cloud: PointCloud, rows: np.ndarray, factor: float, rng: np.random.Generator
+    ) -> Float32[np.ndarray, "K 2244"]:
+        assert cloud.normals is not None
+        kept = rng.random(len(cloud)) < rng.uniform(self.augmentation.keep_at_least, 1.0)
+        grid = histogram_grid(
+            cloud.points[kept], support_radius=self.support_radius * factor, min_radius=self.min_radius * factor
+        )
+        frames = _random_frames(cloud.normals[rows], np.deg2rad(self.augmentation.normal_noise_deg), rng)
+        return grid.histograms(cloud.points[rows], frames)[0]
+
+
+def _reversed(overlap: Overlap) -> Overlap:
+    inverse = np.linalg.inv(overlap.target_from_source)
+    return Overlap(overlap.target, overlap.source, inverse, overlap.scene, overlap.voxel_size)
+
+
+def _random_frames(
+    normals: Float64[np.ndarray, "K 3"], tilt: float, rng: np.random.Generator
+) -> Float64[np.ndarray, "K 3 3"]:
+    """Frames with z near the normal and a random x: the network has to do without a repeatable x axis."""
+    z = normals + rng.normal(size=normals.shape) * tilt
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    x = np.cross(z, rng.normal(size=z.shape))
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    return np.stack([x, np.cross(z, x), z], axis=1)

@@ -1,0 +1,265 @@
+"""The recipes: `contrastive` (ours), `paper` (triplets, as published) and `pca` (the linear baseline)."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from cgf.descriptors.network import Network, NetworkCard, NetworkKind, write_network
+from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults, ModelName
+from cgf.training.batches import Augmentation, Batch, Batches
+from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
+from cgf.training.loop import LoopSettings, train
+from cgf.training.loss import contrastive_loss, triplet_loss
+from cgf.training.modules import AzimuthNetwork, PaperNetwork
+from cgf.training.triplets import TripletBatch, Triplets
+from cgf.types import Progress
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """Settings of `cgf train`, from meshes or from fragments with poses."""
+
+    output: Path
+    """Weights to write, NAME.safetensors; the card goes beside it, checkpoints into the folder NAME."""
+    meshes: Path | None = None
+    """Folder of meshes to render range images of."""
+    scenes: tuple[Path, ...] = ()
+    """Folders of fragments cloud_bin_N.ply with a gt.log of their relative poses."""
+    model: ModelName = "object"
+    """Whose lengths to use: `object` takes shares of the diameter, `indoor` metres."""
+    recipe: Literal["contrastive", "paper", "pca"] = "contrastive"
+    """`paper` trains on 40 triplets a point for three epochs, `pca` fits principal components."""
+    dims: tuple[int, ...] = (8, 16, 24, 32, 64)
+    """Widths of the feature; the recipes `paper` and `pca` take the last alone."""
+    steps: int | None = None
+    """Minibatches; none stands for 6,000 (contrastive) or three epochs (paper)."""
+    batch: int = 512
+    """Correspondences (contrastive) or triplets (paper) per minibatch."""
+    overlaps_per_batch: int = 8
+    """Overlapping pairs that the correspondences of one minibatch come from."""
+    learning_rate: float | None = None
+    """None stands for 1e-3 (contrastive) or the paper's 1e-4."""
+    temperature: float = 0.07
+    """Of the contrastive loss."""
+    view_sets: int = 2
+    """Sets of 14 range images per mesh, each turned anew."""
+    noise: tuple[float, float] = (0.0, 0.004)
+    """Range of the standard deviation of the noise in range images, in diameters."""
+    voxel_sizes: tuple[float, ...] = ()
+    """For scenes: densities to train on, in metres; none stands for the model's own."""
+    precision: Literal["bfloat16", "float32"] = "float32"
+    """bfloat16 is three times faster on processors with AMX."""
+    threads: int = 1
+    """Of torch; results are repeatable to the bit for the same number."""
+    checkpoint_every: int = 100
+    """Minibatches between checkpoints."""
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if (self.meshes is None) == (not self.scenes):
+            raise ValueError(
+                "one of --meshes and --scenes must be given, got " + ("both" if self.scenes else "neither")
+            )
+        if self.output.suffix != ".safetensors":
+            raise ValueError(f"--output must end in .safetensors, got {self.output}")
+        if self.batch % self.overlaps_per_batch:
+            raise ValueError(
+                f"--batch must be a multiple of --overlaps-per-batch ({self.overlaps_per_batch}), got {self.batch}"
+            )
+        if not self.dims or list(self.dims) != sorted(set(self.dims)) or self.dims[0] < 1:
+            raise ValueError(f"--dims must be ascending and positive, got {self.dims}")
+
+
+def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Network:
+    """Train as `settings` say and write weights and card.
+
+    Args:
+        settings: What to train on and how.
+        command: Kept in the card, so that the weights can be made again.
+        progress: Told the share of the current stage that is done.
+
+    Raises:
+        InputError: The data cannot be read or holds no overlapping clouds.
+    """
+    torch.set_num_threads(settings.threads)
+    torch.manual_seed(settings.seed)
+    defaults = MODEL_DEFAULTS[settings.model]
+    fragments = _fragments(settings, defaults, progress)
+    kind, network = _TRAIN[settings.recipe](settings, defaults, fragments, progress)
+    contrastive = settings.recipe == "contrastive"
+    frame: FrameKind = "normal" if contrastive else "paper"
+    card = NetworkCard(
+        kind=kind,
+        model=settings.model,
+        dims=settings.dims if contrastive else settings.dims[-1:],
+        frame=frame,
+        relative=defaults.relative,
+        support_radius=defaults.support_radius,
+        min_radius=defaults.min_radius,
+        lrf_radius=defaults.lrf_radius,
+        voxel_sizes=settings.voxel_sizes or (defaults.voxel_size,),
+        command=command,
+        data=", ".join(path.name for path in ([settings.meshes] if settings.meshes else settings.scenes)),
+        seed=settings.seed,
+        training={
+            "recipe": settings.recipe,
+            "steps": settings.steps or _default_steps(settings),
+            "batch": settings.batch,
+            "clouds": len(fragments.clouds),
+            "overlaps": len(fragments.overlaps),
+            "torch": torch.__version__,
+        },
+    )
+    trained = Network(card, network)
+    write_network(settings.output, trained)
+    return trained
+
+
+def _fragments(settings: TrainSettings, defaults: ModelDefaults, progress: Progress) -> Fragments:
+    if settings.meshes is not None:
+        return fragments_of_meshes(
+            settings.meshes,
+            defaults=defaults,
+            view_sets=settings.view_sets,
+            noise=settings.noise,
+            seed=settings.seed,
+            progress=progress,
+        )
+    sizes = settings.voxel_sizes or (defaults.voxel_size,)
+    return fragments_of_scenes(list(settings.scenes), defaults=defaults, voxel_sizes=sizes, progress=progress)
+
+
+def _default_steps(settings: TrainSettings) -> int:
+    return 6_000 if settings.recipe == "contrastive" else 0
+
+
+def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
+    """Changes with everything that changes the course of training."""
+    values = {
+        name: str(value) for name, value in asdict(settings).items() if name not in {"output", "checkpoint_every"}
+    }
+    digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
+    for cloud in fragments.clouds:
+        digest.update(cloud.points.tobytes())
+    return digest.hexdigest()
+
+
+def _batches(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments) -> Batches:
+    return Batches(
+        fragments,
+        support_radius=defaults.support_radius,
+        min_radius=defaults.min_radius,
+        tau=defaults.tau,
+        size=settings.batch,
+        per_batch=settings.overlaps_per_batch,
+        augmentation=Augmentation(),
+        seed=settings.seed,
+    )
+
+
+def _weights(module: nn.Module) -> dict[str, np.ndarray]:
+    return {name: value.detach().cpu().numpy().astype(np.float32) for name, value in module.state_dict().items()}
+
+
+def _contrastive(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
+) -> tuple[NetworkKind, dict[str, np.ndarray]]:
+    batches = _batches(settings, defaults, fragments)
+
+    def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:
+        features = embed(torch.from_numpy(np.concatenate([batch.source, batch.target])))
+        ignored = torch.from_numpy(batch.ignored)
+        source, target = features[: len(ignored)], features[len(ignored) :]
+        return contrastive_loss(source, target, ignored, dims=settings.dims, temperature=settings.temperature)
+
+    module = train(
+        AzimuthNetwork(settings.dims[-1]),
+        draw=batches.draw,
+        loss_of=loss_of,
+        settings=LoopSettings(
+            steps=settings.steps or _default_steps(settings),
+            learning_rate=settings.learning_rate or 1e-3,
+            weight_decay=0.01,
+            cosine_decay=True,
+            average=0.998,
+            low_precision=settings.precision == "bfloat16",
+            checkpoint_every=settings.checkpoint_every,
+            fingerprint=_fingerprint(settings, fragments),
+        ),
+        folder=settings.output.with_suffix(""),
+        progress=progress,
+    )
+    return "azimuth", _weights(module)
+
+
+def _paper(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
+) -> tuple[NetworkKind, dict[str, np.ndarray]]:
+    triplets = Triplets(
+        fragments,
+        support_radius=defaults.support_radius,
+        min_radius=defaults.min_radius,
+        lrf_radius=defaults.lrf_radius,
+        tau=defaults.tau,
+        batch=settings.batch,
+        seed=settings.seed,
+        progress=progress,
+    )
+
+    def loss_of(embed: Callable[[Tensor], Tensor], batch: TripletBatch) -> Tensor:
+        features = embed(torch.from_numpy(batch.histograms))
+        anchors, positives, negatives = (features[torch.from_numpy(rows)] for rows in batch.rows)
+        return triplet_loss(anchors, positives, negatives)
+
+    module = train(
+        PaperNetwork(settings.dims[-1]),
+        draw=triplets.draw,
+        loss_of=loss_of,
+        settings=LoopSettings(
+            steps=settings.steps or 3 * triplets.batches_per_epoch,
+            learning_rate=settings.learning_rate or 1e-4,
+            weight_decay=0.0,
+            cosine_decay=False,
+            average=0.0,
+            low_precision=settings.precision == "bfloat16",
+            checkpoint_every=settings.checkpoint_every,
+            fingerprint=_fingerprint(settings, fragments),
+        ),
+        folder=settings.output.with_suffix(""),
+        progress=progress,
+    )
+    return "paper", _weights(module)
+
+
+def _pca(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
+) -> tuple[NetworkKind, dict[str, np.ndarray]]:
+    from sklearn.decomposition import IncrementalPCA
+
+    triplets = Triplets(
+        fragments,
+        support_radius=defaults.support_radius,
+        min_radius=defaults.min_radius,
+        lrf_radius=defaults.lrf_radius,
+        tau=defaults.tau,
+        batch=settings.batch,
+        seed=settings.seed,
+        progress=progress,
+    )
+    pca = IncrementalPCA(n_components=settings.dims[-1])
+    steps = settings.steps or 40
+    for step in range(steps):
+        pca.partial_fit(triplets.draw(step).histograms)
+        progress((step + 1) / steps, f"principal components, part {step + 1} of {steps}")
+    weights = {"mean": pca.mean_, "components": pca.components_}
+    return "pca", {name: np.ascontiguousarray(values, np.float32) for name, values in weights.items()}
+
+
+_TRAIN = {"contrastive": _contrastive, "paper": _paper, "pca": _pca}
