@@ -187,10 +187,11 @@ class _Search:
     ) -> Float32[np.ndarray, "B G"]:
         """Best score of each row with each group of columns; collects candidates of the other direction."""
         block = self.extended_source[start : start + TILE_ROWS]
+        scores = np.empty((len(block), self.tile_columns), dtype=np.float32)
         tiles = []
         for left in range(0, len(self.extended_target), self.tile_columns):
             columns = slice(left, left + self.tile_columns)
-            scores = block @ self.extended_target[columns].T
+            np.matmul(block, self.extended_target[columns].T, out=scores)
             # Columns a stride apart form a group, so that the maximum runs over whole slices of memory.
             tiles.append(scores.reshape(len(block), COLUMN_GROUP, -1).max(axis=1))
             best = scores.reshape(-1, ROW_GROUP, self.tile_columns).max(axis=1)

@@ -221,12 +221,13 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
     dim, computed_dim = _dimensions(settings, choice.name)
     voxel_size = _voxel_size(settings.voxel_size, defaults)
     spacing = max(_spacing(source), _spacing(target), voxel_size)
-    support_radius = _support_radius(settings.support_radius, defaults, spacing, diameter)
-    if voxel_size >= support_radius:
+    support_radius = defaults.support_radius if settings.support_radius is None else settings.support_radius
+    if settings.voxel_size is not None and voxel_size >= support_radius > 0:
         raise InputError(
             f"--voxel must be below the radius ({support_radius:.3g}), got {voxel_size:.3g}; "
             f"try {support_radius / 30:.2g}"
         )
+    _check_radius(settings, support_radius, defaults, spacing, diameter)
     share = defaults.min_radius / defaults.support_radius
     min_radius = support_radius * share if settings.min_radius is None else settings.min_radius
     if not 0 < min_radius < support_radius:
@@ -319,8 +320,9 @@ def describe(
     features = descriptor.describe(cloud, indices, progress=progress, cancelled=cancelled)
     if not len(features):
         raise InputError(
-            f"--lrf-radius must give points a local frame, but none of the {len(cloud):,} of "
-            f"{cloud.name or 'the cloud'} has one with {settings.lrf_radius:.3g}; try {2 * settings.lrf_radius:.2g}"
+            f"--radius and --lrf-radius must hold neighbours, but none of the {len(cloud):,} points of "
+            f"{cloud.name or 'the cloud'} can be described with {settings.support_radius:.3g} and "
+            f"{settings.lrf_radius:.3g}; try {2 * settings.support_radius:.2g} and {2 * settings.lrf_radius:.2g}"
         )
     return features
 
@@ -493,11 +495,14 @@ def _voxel_size(requested: float | None, defaults: ModelDefaults) -> float:
     return requested
 
 
-def _support_radius(requested: float | None, defaults: ModelDefaults, spacing: float, diameter: float) -> float:
-    radius = defaults.support_radius if requested is None else requested
+def _check_radius(
+    settings: PairSettings, radius: float, defaults: ModelDefaults, spacing: float, diameter: float
+) -> None:
     usual = defaults.support_radius
-    remedy = f"try {usual if spacing < usual <= diameter else max(0.17 * diameter, 5 * spacing):.2g}"
-    if requested is None and radius > diameter:
+    if not spacing < usual <= diameter:
+        usual = min(max(0.17 * diameter, 5 * spacing), diameter)
+    remedy = f"try {usual:.2g}"
+    if settings.support_radius is None and radius > diameter:
         remedy = "choose --model object or give --radius"
     if not radius > spacing:
         raise InputError(f"--radius must be above the point spacing ({spacing:.3g}), got {radius:.3g}; {remedy}")
@@ -505,7 +510,6 @@ def _support_radius(requested: float | None, defaults: ModelDefaults, spacing: f
         raise InputError(
             f"--radius must be at most the diameter of the clouds ({diameter:.3g}), got {radius:.3g}; {remedy}"
         )
-    return radius
 
 
 def _stage(progress: Progress | None, cancelled: IsCancelled | None, share: float, text: str) -> None:
