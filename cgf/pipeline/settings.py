@@ -1,0 +1,243 @@
+"""What a person chooses, and every value that follows from it for two clouds."""
+
+from dataclasses import dataclass
+from typing import Literal
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from cgf import descriptors
+from cgf.checks import InputError
+from cgf.descriptors.settings import MODEL_DEFAULTS, ModelDefaults, ModelName
+from cgf.types import PointCloud
+
+ROOM = (2.0, 30.0)
+"""Diagonals of indoor fragments in metres, smallest and largest."""
+ROOM_IN_MILLIMETRES = (1_000.0, 60_000.0)
+FRAME_SPACINGS = 3.0
+"""A frame needs 5 neighbours, which this many times the point spacing holds amply on a surface."""
+
+
+@dataclass(frozen=True)
+class PairSettings:
+    """What a person chooses; None takes the default of the model."""
+
+    model: Literal["auto", "object", "indoor"] = "auto"
+    """Weights and defaults: for single objects, or for rooms in metres."""
+    descriptor: str = "cgf"
+    """One of `cgf.descriptors.available()`."""
+    dim: int | None = None
+    """Number of values of a feature; None is 32, or the only one that the descriptor has."""
+    support_radius: float | None = None
+    """Radius of the neighbourhood described, in cloud units."""
+    min_radius: float | None = None
+    """Radius of the innermost shell; None keeps the model's share of `support_radius`."""
+    lrf_radius: float | None = None
+    """Radius of the neighbourhood that gives the local reference frame."""
+    voxel_size: float | None = None
+    """Edge of the voxels for downsampling; 0 keeps every point."""
+    mutual: bool = False
+    """Keep only matches that are each other's nearest."""
+    max_ratio: float | None = None
+    """Keep only matches at most this share of the second nearest's distance away."""
+    seed: int = 0
+    """Of the registration's random samples."""
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """Which model, and why, in a line each."""
+
+    name: ModelName
+    reason: str
+    warning: str | None = None
+
+
+@dataclass(frozen=True)
+class ResolvedSettings:
+    """Every value the stages use; lengths in cloud units."""
+
+    choice: ModelChoice
+    diameter: float
+    """The larger of the two clouds' own diameters."""
+    spacing: float
+    """Median distance between neighbouring points once the clouds are prepared, about."""
+    descriptor: str
+    dim: int
+    computed_dim: int
+    """Dimension that is computed: that of the whole network where smaller ones are prefixes of it, else `dim`."""
+    support_radius: float
+    min_radius: float
+    lrf_radius: float
+    normal_radius: float
+    voxel_size: float
+    tau: float
+    """A point has a true partner if the other cloud comes at least this near."""
+    precision_radius: float
+    error_scale: float
+    inlier_distance: float
+    """Of the registration."""
+    mutual: bool
+    max_ratio: float | None
+    seed: int
+
+    @property
+    def model(self) -> ModelName:
+        """The name of the chosen model."""
+        return self.choice.name
+
+    @property
+    def preparation_key(self) -> tuple[float, float]:
+        """All that `prepare` depends on besides the cloud."""
+        return (self.voxel_size, self.normal_radius)
+
+    @property
+    def description_key(self) -> tuple[object, ...]:
+        """All that `describe` depends on besides the raw cloud."""
+        lengths = (self.support_radius, self.min_radius, self.lrf_radius)
+        return (*self.preparation_key, self.descriptor, self.model, self.computed_dim, *lengths)
+
+    @property
+    def match_key(self) -> tuple[object, ...]:
+        """All that `match_features` depends on besides the raw clouds; the filters come after it."""
+        return (*self.description_key, self.dim)
+
+
+def choose_model(source: PointCloud, target: PointCloud, requested: str = "auto") -> ModelChoice:
+    """Take the indoor model for clouds of a room's extent in metres, else the one of relative scale.
+
+    Raises:
+        InputError: `requested` is no model.
+    """
+    if requested not in ("auto", *MODEL_DEFAULTS):
+        raise InputError(f"--model must be auto, {' or '.join(MODEL_DEFAULTS)}, got {requested}")
+    small, large = sorted((source.diameter, target.diameter))
+    room = ROOM[0] <= large <= ROOM[1]
+    warning = None
+    if requested != "object" and ROOM_IN_MILLIMETRES[0] <= large <= ROOM_IN_MILLIMETRES[1]:
+        warning = f"The clouds span {large:,.0f} units; if this is a room in millimetres, divide by 1000."
+    elif requested == "indoor" and not room:
+        warning = f"The indoor model expects rooms in metres, but the clouds span {large:.3g} units."
+    elif small * 50 < large:
+        warning = f"One cloud is {large / small:,.0f} times as large as the other; do their units agree?"
+    if requested == "indoor":
+        return ModelChoice("indoor", "Model indoor, as requested.", warning)
+    if requested == "object":
+        return ModelChoice("object", "Model object, as requested: lengths are shares of the diameter.", warning)
+    if room:
+        return ModelChoice("indoor", f"Model indoor: the larger cloud spans {large:.3g} m, as rooms do.", warning)
+    reason = f"Model object: the clouds span {large:.3g} units, not the 2 to 30 m of a room, so scale is relative."
+    return ModelChoice("object", reason, warning)
+
+
+def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> ResolvedSettings:
+    """Fill in defaults for these clouds (as loaded, not prepared) and refuse what contradicts them.
+
+    Raises:
+        InputError: A setting cannot be used; the text names the option, the value and one that works.
+    """
+    choice = choose_model(source, target, settings.model)
+    diameter = max(source.diameter, target.diameter)
+    defaults = MODEL_DEFAULTS[choice.name].scaled(diameter)
+    dim, computed_dim = _dimensions(settings, choice.name)
+    voxel_size = _voxel_size(settings.voxel_size, defaults)
+    spacing = max(_spacing(source), _spacing(target), voxel_size)
+    support_radius = defaults.support_radius if settings.support_radius is None else settings.support_radius
+    if settings.voxel_size is not None and voxel_size >= support_radius > 0:
+        raise InputError(
+            f"--voxel must be below the radius ({support_radius:.3g}), got {voxel_size:.3g}; "
+            f"try {support_radius / 30:.2g}"
+        )
+    _check_radius(settings, support_radius, defaults, spacing, diameter)
+    share = defaults.min_radius / defaults.support_radius
+    min_radius = support_radius * share if settings.min_radius is None else settings.min_radius
+    if not 0 < min_radius < support_radius:
+        raise InputError(
+            f"--min-radius must be above 0 and below the radius ({support_radius:.3g}), got {min_radius:.3g}; "
+            f"try {support_radius * share:.2g}"
+        )
+    least = FRAME_SPACINGS * spacing
+    lrf_radius = max(defaults.lrf_radius, least) if settings.lrf_radius is None else settings.lrf_radius
+    if not spacing < lrf_radius <= diameter:
+        raise InputError(
+            f"--lrf-radius must be above the point spacing ({spacing:.3g}) and at most the diameter "
+            f"({diameter:.3g}), got {lrf_radius:.3g}; try {max(defaults.lrf_radius, least):.2g}"
+        )
+    if settings.max_ratio is not None and not 0 < settings.max_ratio <= 1:
+        raise InputError(f"--ratio must be above 0 and at most 1, got {settings.max_ratio:g}; try 0.9")
+    if settings.seed < 0:
+        raise InputError(f"--seed must be 0 or more, got {settings.seed}")
+    return ResolvedSettings(
+        choice=choice,
+        diameter=diameter,
+        spacing=spacing,
+        descriptor=settings.descriptor,
+        dim=dim,
+        computed_dim=computed_dim,
+        support_radius=support_radius,
+        min_radius=min_radius,
+        lrf_radius=lrf_radius,
+        normal_radius=defaults.normal_radius,
+        voxel_size=voxel_size,
+        tau=defaults.tau,
+        precision_radius=defaults.precision_radius,
+        error_scale=defaults.error_scale,
+        # Points of two scans of one surface lie up to about a spacing apart however good the motion is.
+        inlier_distance=max(defaults.tau, 1.5 * spacing),
+        mutual=settings.mutual,
+        max_ratio=settings.max_ratio,
+        seed=settings.seed,
+    )
+
+
+_SPACINGS: WeakKeyDictionary[PointCloud, float] = WeakKeyDictionary()
+"""Clouds never change, and a setting changes often."""
+
+
+def _spacing(cloud: PointCloud) -> float:
+    from cgf.geometry.neighbors import median_spacing
+
+    if cloud not in _SPACINGS:
+        _SPACINGS[cloud] = median_spacing(cloud.points)
+    return _SPACINGS[cloud]
+
+
+def _dimensions(settings: PairSettings, model: ModelName) -> tuple[int, int]:
+    """The dimension asked for, and the one to compute."""
+    if settings.descriptor not in descriptors.available():
+        raise InputError(f"--descriptor must be one of {', '.join(descriptors.available())}, got {settings.descriptor}")
+    choices = descriptors.dimensions(settings.descriptor, model)
+    dim = settings.dim
+    if dim is None:
+        dim = 32 if 32 in choices else choices[-1]
+    if dim not in choices:
+        known = ", ".join(str(choice) for choice in choices)
+        raise InputError(f"--dim must be one of {known} with --descriptor {settings.descriptor}, got {dim}")
+    return dim, max(choices) if settings.descriptor in descriptors.NESTED else dim
+
+
+def _voxel_size(requested: float | None, defaults: ModelDefaults) -> float:
+    if requested is None:
+        return defaults.voxel_size
+    if not (np.isfinite(requested) and requested >= 0):
+        raise InputError(
+            f"--voxel must be 0 (keep every point) or more, got {requested:g}; try {defaults.voxel_size:.2g}"
+        )
+    return requested
+
+
+def _check_radius(
+    settings: PairSettings, radius: float, defaults: ModelDefaults, spacing: float, diameter: float
+) -> None:
+    usual = defaults.support_radius
+    if not spacing < usual <= diameter:
+        usual = min(max(0.17 * diameter, 5 * spacing), diameter)
+    remedy = f"try {usual:.2g}"
+    if settings.support_radius is None and radius > diameter:
+        remedy = "choose --model object or give --radius"
+    if not radius > spacing:
+        raise InputError(f"--radius must be above the point spacing ({spacing:.3g}), got {radius:.3g}; {remedy}")
+    if radius > diameter:
+        raise InputError(
+            f"--radius must be at most the diameter of the clouds ({diameter:.3g}), got {radius:.3g}; {remedy}"
+        )
