@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from cgf.descriptors.spherical_histogram import HISTOGRAM_BINS, histogram_grid
+
+SUPPORT, LEAST = 0.9, 0.08
+
+
+def histogram_by_formula(points, center, frame):
+    """The definition, with logarithm, arc cosine and arc tangent, one neighbour at a time."""
+    row = np.zeros(HISTOGRAM_BINS)
+    for point in points:
+        x, y, z = frame @ (point - center)
+        distance = np.linalg.norm(point - center)
+        if not 0 < distance <= SUPPORT:
+            continue
+        shell = min(max(int(16 * np.log(distance / LEAST) / np.log(SUPPORT / LEAST) + 1), 0), 16)
+        elevation = min(int(11 * np.arccos(z / distance) / np.pi), 10)
+        azimuth = min(int(12 * (np.arctan2(y, x) + np.pi) / (2 * np.pi)), 11)
+        row[shell + 17 * elevation + 187 * azimuth] += 1
+    return row / row.sum()
+
+
+def random_frame(rng):
+    frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return frame * np.sign(np.linalg.det(frame))
+
+
+def test_equals_the_formula():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, size=(3000, 3))
+    centers = points[:40]
+    frames = np.stack([random_frame(rng) for _ in centers])
+    rows, counts = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST).histograms(centers, frames)
+    for row, count, center, frame in zip(rows, counts, centers, frames, strict=True):
+        # Single precision may put a neighbour on the other side of an edge.
+        assert np.abs(row - histogram_by_formula(points, center, frame)).sum() * count / 2 <= 1.01
+
+
+@pytest.mark.parametrize("degrees", range(15, 360, 30))
+def test_each_sector_is_thirty_degrees(degrees):
+    angle = np.deg2rad(degrees)
+    point = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    cloud = np.array([[0.0, 0.0, 0.0], point])
+    rows, _ = histogram_grid(cloud, support_radius=SUPPORT, min_radius=LEAST).histograms(
+        np.zeros((1, 3)), np.eye(3)[None]
+    )
+    assert np.flatnonzero(rows[0])[0] // 187 == ((degrees + 180) % 360) // 30
+
+
+def test_a_lonely_point_has_a_row_of_zeros():
+    cloud = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    rows, counts = histogram_grid(cloud, support_radius=SUPPORT, min_radius=LEAST).histograms(
+        cloud, np.eye(3)[None].repeat(2, 0)
+    )
+    assert counts.tolist() == [0, 0]
+    assert not rows.any()
+
+
+def test_does_not_depend_on_the_number_of_threads(monkeypatch):
+    points = np.random.default_rng(4).uniform(size=(2000, 3))
+    frames = np.eye(3)[None].repeat(2000, 0)
+    results = []
+    for threads in ("1", "3"):
+        monkeypatch.setenv("CGF_THREADS", threads)
+        results.append(histogram_grid(points, support_radius=0.3, min_radius=0.03).histograms(points, frames)[0])
+    np.testing.assert_array_equal(*results)
+
+
+def test_far_from_the_origin_nothing_changes():
+    rng = np.random.default_rng(5)
+    points = np.round(rng.uniform(size=(800, 3)), 3)
+    frames = np.stack([random_frame(rng) for _ in range(50)])
+    offset = np.array([651_204.0, 5_402_117.0, 311.0])  # UTM
+    near, _ = histogram_grid(points, support_radius=0.4, min_radius=0.04).histograms(points[:50], frames)
+    far, _ = histogram_grid(points + offset, support_radius=0.4, min_radius=0.04).histograms(
+        points[:50] + offset, frames
+    )
+    assert np.abs(near - far).sum(axis=1).max() < 0.05
+
+
+@pytest.mark.parametrize(("least", "support"), [(0.0, 1.0), (-0.1, 1.0), (1.0, 1.0), (2.0, 1.0)])
+def test_radii_must_increase(least, support):
+    with pytest.raises(ValueError, match="min_radius must lie between 0 and support_radius"):
+        histogram_grid(np.zeros((1, 3)), support_radius=support, min_radius=least)
