@@ -124,7 +124,9 @@ def _check_extent(points: Float64[np.ndarray, "N 3"], name: str) -> None:
     centred = centred - centred.mean(axis=0)
     spreads = np.sqrt(np.maximum(np.linalg.eigvalsh(centred.T @ centred), 0))
     if len(points) > 2 and spreads[1] <= _FLAT_RATIO * spreads[2]:
-        raise ValueError(f"{name} must spread in space, got {len(points)} points that all lie on one line")
+        raise ValueError(
+            f"{name} must spread in space, got {len(points)} points on one line, or one far from all others"
+        )
 
 
 def _row(values: Float64[np.ndarray, "D"]) -> str:

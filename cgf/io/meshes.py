@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from cgf.checks import InputError
-from cgf.io.raw import RawCloud, decode_colors, parse_rows
+from cgf.io.raw import RawCloud, decode_colors, parse_rows, to_float64
 
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _STL_HEADER = 84
@@ -122,7 +122,7 @@ def read_stl(path: Path) -> RawCloud:
     data = path.read_bytes()
     count = int.from_bytes(data[80:_STL_HEADER], "little")
     if len(data) == _STL_HEADER + count * _STL_TRIANGLE.itemsize:
-        corners = np.frombuffer(data, _STL_TRIANGLE, count, _STL_HEADER)["corners"].reshape(-1, 3).astype(np.float64)
+        corners = to_float64(np.frombuffer(data, _STL_TRIANGLE, count, _STL_HEADER)["corners"].reshape(-1, 3))
     elif data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:1000]:
         corners = _text_corners(data, path)
     else:

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from cgf.checks import InputError
-from cgf.io.raw import RawCloud, decode_colors, parse_rows
+from cgf.io.raw import RawCloud, decode_colors, parse_rows, to_float64
 
 _LONGEST_HEADER = 1 << 16
 _LARGEST_EXPANSION = 300  # LZF turns 3 bytes into at most 264
@@ -199,7 +199,7 @@ def _decompress_lzf(data: bytes, size: int) -> bytes | None:
 def _columns(table: np.ndarray, names: tuple[str, str, str]) -> np.ndarray | None:
     if not all(name in (table.dtype.names or ()) for name in names):
         return None
-    return np.stack([table[name][:, 0] for name in names], axis=1).astype(np.float64)
+    return to_float64(np.stack([table[name][:, 0] for name in names], axis=1))
 
 
 def _colors(table: np.ndarray) -> np.ndarray | None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from cgf.checks import InputError
-from cgf.io.raw import RawCloud, decode_colors, parse_rows
+from cgf.io.raw import RawCloud, decode_colors, parse_rows, to_float64
 from cgf.types import PointCloud
 
 _TYPES = {
@@ -64,15 +64,16 @@ def read_ply(path: Path) -> RawCloud:
         raise InputError(
             f"{path} must have a vertex element with x, y and z, got {', '.join(vertices) or 'no vertices'}"
         )
+    points = to_float64(points)
     normals = _columns(vertices, ("nx", "ny", "nz"))
     colors = _columns(vertices, ("red", "green", "blue"))
     colors = _columns(vertices, ("diffuse_red", "diffuse_green", "diffuse_blue")) if colors is None else colors
     return RawCloud(
-        points=points.astype(np.float64),
-        normals=None if normals is None else normals.astype(np.float64),
+        points=points,
+        normals=None if normals is None else to_float64(normals),
         colors=None if colors is None else decode_colors(colors),
         faces=faces,
-        viewpoint=_scanner_position(points.astype(np.float64)) if header.is_cyberware else None,
+        viewpoint=_scanner_position(points) if header.is_cyberware else None,
     )
 
 

@@ -1,6 +1,7 @@
 """What a reader of one format finds in a file, before it is checked."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,16 +23,22 @@ class RawCloud:
     """Where the sensor was, if the file says so."""
 
 
+def to_float64(values: np.ndarray) -> Float64[np.ndarray, "..."]:
+    """Real numbers in double precision; the odd NaN of a damaged file is no cause for a warning."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float64, order="C")
+
+
 def decode_colors(values: np.ndarray) -> UInt8[np.ndarray, "N 3"]:
     """Colours as bytes: floats are taken as 0 to 1 where none is above 1, 16-bit integers are scaled down."""
     if values.dtype == np.uint8:
-        return np.ascontiguousarray(values)
+        return values.astype(np.uint8, order="C")
     if values.dtype == np.uint16:
         return (values >> 8).astype(np.uint8)
-    levels = np.nan_to_num(values.astype(np.float64), nan=0.0, posinf=255.0, neginf=0.0)
+    levels = np.nan_to_num(to_float64(values), nan=0.0, posinf=255.0, neginf=0.0)
     if values.dtype.kind == "f" and (levels <= 1).all():
         levels = levels * 255
-    return np.rint(np.clip(levels, 0, 255)).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(levels, 0, 255)), dtype=np.uint8)
 
 
 def parse_rows(
@@ -50,11 +57,13 @@ def parse_rows(
         InputError: A row is too short, of another width, or holds something that is no number.
     """
     kept = range(columns) if columns is not None else None
-    try:
+    table: Float64[np.ndarray, "N D"] | None = None
+    with suppress(ValueError):
         # The comment sign is one that no number holds: a damaged line must not pass for a comment.
         table = np.loadtxt(lines, dtype=np.float64, comments=None, usecols=kept, ndmin=2, encoding="latin-1")
-    except ValueError:
-        raise InputError(_bad_row(lines, columns, path, numbers)) from None
+    # Lines of odd blanks are skipped without a word.
+    if table is None or len(table) < len(lines):
+        raise InputError(_bad_row(lines, columns, path, numbers))
     return table
 
 

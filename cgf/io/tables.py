@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from cgf.checks import InputError
-from cgf.io.raw import RawCloud, decode_colors, parse_rows
+from cgf.io.raw import RawCloud, decode_colors, parse_rows, to_float64
 from cgf.types import PointCloud
 
 _SEPARATORS = bytes.maketrans(b",;\t", b"   ")
@@ -103,9 +103,10 @@ def _single(path: Path) -> np.ndarray:
 def _load(path: Path) -> dict[str, np.ndarray]:
     """All arrays of an archive, or the one of an NPY file under an empty name."""
     try:
-        with warnings.catch_warnings():
+        # Opened here, since numpy leaves damaged archives open.
+        with path.open("rb") as stream, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns of headers of old versions, and of damaged ones
-            loaded = np.load(path, allow_pickle=False)
+            loaded = np.load(stream, allow_pickle=False)
             if isinstance(loaded, np.ndarray):
                 return {"": loaded}
             with loaded:
@@ -120,8 +121,7 @@ def _load(path: Path) -> dict[str, np.ndarray]:
 def _numbers(array: np.ndarray, name: str) -> Float64[np.ndarray, "..."]:
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name} must hold real numbers, got {ascii(str(array.dtype))[:40]}")
-    with np.errstate(over="ignore"):
-        return array.astype(np.float64)
+    return to_float64(array)
 
 
 def _rows_beside(values: Float64[np.ndarray, "..."], raw: RawCloud, name: str) -> Float64[np.ndarray, "N 3"]:
