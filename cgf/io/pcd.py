@@ -20,6 +20,7 @@ def read_pcd(path: Path) -> RawCloud:
     names = _names(header, path)
     dtype = _row_dtype(header, names, path)
     count = _point_count(header, path)
+    viewpoint = _viewpoint(header, path)
     mode = header["DATA"][0]
     if mode == "ascii":
         table = _read_ascii(data, body, dtype, count, path)
@@ -36,7 +37,7 @@ def read_pcd(path: Path) -> RawCloud:
         points=points,
         normals=_columns(table, ("normal_x", "normal_y", "normal_z")),
         colors=_colors(table),
-        viewpoint=_viewpoint(header, path),
+        viewpoint=viewpoint,
     )
 
 

@@ -62,7 +62,7 @@ def read_ply(path: Path) -> RawCloud:
     points = _columns(vertices, ("x", "y", "z"))
     if points is None:
         raise InputError(
-            f"{path} must have a vertex element with x, y and z, got {', '.join(vertices) or 'no vertices'}"
+            f"{path} must have a vertex element with x, y and z, got {', '.join(vertices)[:80] or 'no vertices'!a}"
         )
     points = to_float64(points)
     normals = _columns(vertices, ("nx", "ny", "nz"))
