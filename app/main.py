@@ -1,0 +1,253 @@
+"""The command `cgf-viewer`: reads what it is given, opens one guarded port, and serves the page until Ctrl-C."""
+
+import argparse
+import contextlib
+import os
+import socket
+import sys
+import threading
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from app.ports import DEFAULT_PORT, listen_socket
+from cgf import cli
+from cgf.checks import InputError
+
+if TYPE_CHECKING:
+    from app.session import PairSource, Session
+    from cgf.types import Transform
+
+DEFAULT_HOST = "127.0.0.1"
+
+_DESCRIPTION = """\
+Look at where two point clouds match: opens a page in the browser that shows both, computes features
+on them, matches the features, and colours every match by its error.
+"""
+_EXAMPLES = """\
+examples:
+  cgf-viewer --demo
+  cgf-viewer a.ply b.ply
+  cgf-viewer a.ply b.ply --gt pose.txt
+  cgf-viewer scene/           all pairs of the folder's gt.log, one chosen in the page
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the viewer with `arguments` (by default the process's own), and return the exit status."""
+    options = build_parser().parse_args(arguments)
+    return cli.run(lambda: view(options), program="cgf-viewer", debug=options.debug)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of `cgf-viewer`."""
+    parser = cli.Parser(
+        prog="cgf-viewer",
+        description=_DESCRIPTION,
+        epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "paths", nargs="*", type=Path, metavar="CLOUD", help="source and target cloud (PLY, PCD, XYZ, OBJ, STL, NPY, "
+        "NPZ), or one folder of clouds with the poses of its pairs in gt.log",
+    )  # fmt: skip
+    parser.add_argument(
+        "--demo", action="store_true", help="show the two fragments of a room that come with the program"
+    )
+    poses = parser.add_argument_group("poses (4x4 that maps the source onto the target, or a trajectory log)")
+    poses.add_argument("--gt", type=Path, metavar="FILE", help="the true pose; for a folder, the name of its log")
+    poses.add_argument("--estimate", type=Path, metavar="FILE", help="a pose found elsewhere, to be looked into")
+    cli.add_feature_options(parser)
+    cli.add_matching_options(parser)
+    cli.add_loading_options(parser)
+    server = parser.add_argument_group("server")
+    server.add_argument(
+        "--port",
+        type=int,
+        metavar="N",
+        help=f"port of the page (default: {DEFAULT_PORT}, or the next one that is free)",
+    )
+    server.add_argument(
+        "--host", default=DEFAULT_HOST, help="address to listen on (default: %(default)s, this machine only)"
+    )
+    server.add_argument("--no-browser", action="store_true", help="do not open the page, only print its URL")
+    cli.add_output_options(parser)
+    return parser
+
+
+def view(options: argparse.Namespace) -> int:
+    """Open what `options` name and serve it until interrupted."""
+    listening, note = listen_socket(options.host, options.port)
+    with contextlib.closing(listening):
+        # The server's libraries load while the clouds are read.
+        warming = threading.Thread(target=_import_server, daemon=True)
+        warming.start()
+        session = open_session(options)
+        if note:
+            cli.note(options, note)
+        warming.join()
+        return _serve(session, listening, options)
+
+
+def open_session(options: argparse.Namespace) -> "Session":
+    """Read the first pair and check the settings against it, so that bad input is refused before anything opens.
+
+    Raises:
+        InputError: A file or a setting cannot be used.
+    """
+    from app.session import Session
+    from app.settings import ViewSettings
+    from cgf import pipeline
+
+    sources = open_pairs(options)
+    pair = sources[0].load()
+    wanted = cli.feature_settings(options)
+    pipeline.resolve(wanted, pair.source, pair.target)
+    settings = ViewSettings(
+        model=wanted.model,
+        descriptor=wanted.descriptor,
+        dim=wanted.dim,
+        support_radius=wanted.support_radius,
+        min_radius=wanted.min_radius,
+        lrf_radius=wanted.lrf_radius,
+        voxel_size=wanted.voxel_size,
+        mutual=wanted.mutual,
+        max_ratio=wanted.max_ratio,
+    )
+    return Session(sources, settings, given_estimate=_read_estimate(options))
+
+
+def open_pairs(options: argparse.Namespace) -> "list[PairSource]":
+    """What can be looked at: the demo, two files, or all pairs of a folder. The first is read already.
+
+    Raises:
+        InputError: The arguments name none of these, or a file cannot be used.
+    """
+    from app.session import PairSource
+
+    paths: list[Path] = options.paths
+    if options.demo:
+        if paths or options.gt or options.estimate:
+            raise InputError("--demo must stand without clouds and poses of your own; leave one of them out")
+        from cgf.datasets.demo import load_demo
+
+        pair = load_demo()
+        return [PairSource("Demo: two fragments of a room", lambda: pair)]
+    if len(paths) == 1 and (paths[0].is_dir() or not paths[0].suffix):
+        return _open_folder(paths[0], options)
+    if len(paths) != 2:
+        raise InputError(
+            f"cgf-viewer must be given two clouds, a folder of pairs, or --demo, got {len(paths)} "
+            f"path{'' if len(paths) == 1 else 's'}; see cgf-viewer --help"
+        )
+    return [_open_files(paths[0], paths[1], options)]
+
+
+def _open_files(source: Path, target: Path, options: argparse.Namespace) -> "PairSource":
+    from app.session import PairSource
+    from cgf import pipeline
+
+    viewpoint = None if options.viewpoint is None else tuple(options.viewpoint)
+    pair = pipeline.load_pair(source, target, gt=options.gt, viewpoint=viewpoint, drop_invalid=options.drop_invalid)
+    command = [str(source), str(target)]
+    if options.gt is not None:
+        command += ["--gt", str(options.gt)]
+    return PairSource(f"{source.name} to {target.name}", lambda: pair, (*command, *_reading(options)))
+
+
+def _open_folder(folder: Path, options: argparse.Namespace) -> "list[PairSource]":
+    from app.session import PairSource
+    from cgf.datasets.folder import find_folder
+
+    if options.estimate is not None:
+        raise InputError("--estimate must come with two clouds, got a folder; name the two files")
+    if options.viewpoint is not None:
+        raise InputError("--viewpoint must come with two clouds, got a folder; name the two files")
+    log = "gt.log" if options.gt is None else options.gt.name
+    found = find_folder(folder, log=log)
+    if not found:
+        raise InputError(f"{folder / log} must hold at least one pair, got none; add the true poses")
+
+    def source(index: int) -> PairSource:
+        files = found[index]
+        command = [str(files.source), str(files.target), "--gt", str(files.target.parent / log), *_reading(options)]
+        return PairSource(files.name, lambda: files.read(drop_invalid=options.drop_invalid), tuple(command))
+
+    return [source(index) for index in range(len(found))]
+
+
+def _reading(options: argparse.Namespace) -> list[str]:
+    arguments = [] if options.viewpoint is None else ["--viewpoint", *map(str, options.viewpoint)]
+    return [*arguments, "--drop-invalid"] if options.drop_invalid else arguments
+
+
+def _read_estimate(options: argparse.Namespace) -> "Transform | None":
+    if options.estimate is None:
+        return None
+    from cgf import io
+
+    source, target = options.paths
+    return io.read_transform(options.estimate, source_name=source.name, target_name=target.name)
+
+
+def _import_server() -> None:
+    import fastapi  # noqa: F401 - only to have it loaded
+    import uvicorn  # noqa: F401
+    import viser  # noqa: F401
+
+
+def _serve(session: "Session", listening: socket.socket, options: argparse.Namespace) -> int:
+    import uvicorn
+
+    from app.guard import Guard, new_token
+    from app.routes import create_app
+    from app.viewer.live import LiveScene
+
+    class Server(uvicorn.Server):
+        """Ends at the first Ctrl-C: open pages hold connections that would never end by themselves."""
+
+        def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+            self.force_exit = True
+            super().handle_exit(sig, frame)
+
+    token = new_token()
+    scene = LiveScene(session)
+    app = Guard(create_app(session, scene), token=token, hosts=[options.host, socket.gethostname()])
+    config = uvicorn.Config(
+        app,
+        log_level="debug" if options.debug else "critical",
+        access_log=False,
+        server_header=False,
+        lifespan="off",
+        # Compressing would take longer than sending; the size is that of viser's own server, and a little more.
+        ws_per_message_deflate=False,
+        ws_max_size=64 << 20,
+    )
+    _announce(listening, token, options)
+    session.start()
+    try:
+        Server(config).run(sockets=[listening])
+    except KeyboardInterrupt:
+        # How a viewer is meant to be stopped.
+        print()
+    finally:
+        session.close()
+        scene.stop()
+    return 0
+
+
+def _announce(listening: socket.socket, token: str, options: argparse.Namespace) -> None:
+    """Print the URL, and open it where there is a screen to open it on."""
+    port = listening.getsockname()[1]
+    host = DEFAULT_HOST if options.host in ("0.0.0.0", "::", "localhost") else options.host
+    url = f"http://{f'[{host}]' if ':' in host else host}:{port}/{token}/"
+    print(f"cgf-viewer: {url}  (Ctrl-C stops it)", flush=True)
+    if options.no_browser:
+        return
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        # Without a screen, a text browser would take over the terminal.
+        cli.note(options, f"No screen here; from another machine: ssh -L {port}:127.0.0.1:{port} THIS_MACHINE")
+        return
+    threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

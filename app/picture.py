@@ -1,0 +1,315 @@
+"""What is drawn: points, lines and camera of an analysis, as plain arrays in the frame of the picture.
+
+The picture is centred and scaled to a fixed size, so that float32 and the viewer's clipping planes suit millimetres,
+metres and UTM coordinates alike. Clouds are moved by the pose of their node: a new pose or layout sends no point again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from app.analysis import Analysis, Scores, kept_rows
+from app.colors import (
+    NO_MATCH,
+    SOURCE_TINT,
+    TARGET_TINT,
+    UNJUDGED,
+    Colors,
+    are_colors_usable,
+    error_colors,
+    feature_basis,
+    feature_colors,
+    shaded_colors,
+)
+from app.settings import Pose, ViewSettings
+from cgf.evaluation.matches import MatchErrors
+from cgf.geometry import transforms
+from cgf.matching import MatchTable
+from cgf.types import Features, PointCloud, Transform
+
+EXTENT = 4.0
+"""The larger cloud's diameter in the picture."""
+FIELD_OF_VIEW = np.radians(40.0)
+POINT_RADIUS = 0.75
+"""Of drawn points, in spacings: just enough to close the surface."""
+GAP = 0.06
+"""Between clouds side by side, as a share of `EXTENT`."""
+_UP_TOLERANCE = np.cos(np.radians(50.0))
+_FRAMED = 97.0
+"""Percentile of points that the first view holds: a few strays shall not make everything small."""
+
+Floats = npt.NDArray[np.float64]
+Single = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class CloudPicture:
+    """One cloud as it is drawn."""
+
+    points: Single
+    """About its own centre; the same array as long as the points do not change."""
+    colors: Colors
+    rotation: Floats
+    position: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Where the scene is seen from at first."""
+
+    look_at: Floats
+    direction: Floats
+    """From the scene to the camera, length 1."""
+    up: Floats
+    corners: Floats
+    """Points that should be in sight."""
+
+    def position(self, aspect: float) -> Floats:
+        """The nearest place from which all corners are in a window of this width over height."""
+        right = np.cross(self.up, self.direction)
+        right /= np.linalg.norm(right)
+        upward = np.cross(self.direction, right)
+        offsets = self.corners - self.look_at
+        slope = np.tan(FIELD_OF_VIEW / 2)
+        needed = np.maximum(np.abs(offsets @ right) / (slope * aspect), np.abs(offsets @ upward) / slope)
+        distance = float(np.max(needed + offsets @ self.direction)) * 1.06
+        position: Floats = self.look_at + self.direction * distance
+        return position
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Everything the viewer draws."""
+
+    source: CloudPicture
+    target: CloudPicture
+    point_size: float
+    line_points: Single
+    """(L, 2, 3), from source to target."""
+    line_colors: Colors
+    """(L, 3), as they shall look on the screen."""
+    view: View
+    scene: tuple[object, ...]
+    """Changes when the camera should be set anew."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The parts of a picture that depend on the prepared clouds alone."""
+
+    source_points: Single
+    target_points: Single
+    source_centre: Floats
+    target_centre: Floats
+    scale: float
+    spacing: float
+    up: Floats
+    direction: Floats
+
+
+def place(analysis: Analysis) -> Placed:
+    """Centre and scale the prepared clouds, and find how a person would hold them."""
+    source, target = analysis.source, analysis.target
+    scale = EXTENT / max(source.diameter, target.diameter)
+    centres = [(cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2 for cloud in (source, target)]
+    up = up_direction(target, room=analysis.resolved.model == "indoor")
+    return Placed(
+        source_points=((source.points - centres[0]) * scale).astype(np.float32),
+        target_points=((target.points - centres[1]) * scale).astype(np.float32),
+        source_centre=centres[0],
+        target_centre=centres[1],
+        scale=scale,
+        spacing=analysis.resolved.spacing * scale,
+        up=up,
+        direction=view_direction(target, up),
+    )
+
+
+def up_direction(cloud: PointCloud, *, room: bool) -> Floats:
+    """Which way is up: for a room from its floor and table tops, for objects +y, as scanners and modellers have it.
+
+    A room's frame is that of a camera, held about upright, whose y axis points down. Surfaces within 50 degrees of
+    that which face up are averaged until the direction settles.
+    """
+    if not room:
+        return np.array([0.0, 1.0, 0.0])
+    up = np.array([0.0, -1.0, 0.0])
+    if cloud.normals is None:
+        return up
+    cosine = _UP_TOLERANCE
+    for _ in range(8):
+        facing = cloud.normals[cloud.normals @ up > cosine]
+        if len(facing) < 20:
+            break
+        # The principal direction of the flattest group: walls and clutter spread, a floor does not.
+        mean = facing.mean(axis=0)
+        up = mean / np.linalg.norm(mean)
+        cosine = min(0.98, cosine + 0.06)
+    return up
+
+
+def view_direction(cloud: PointCloud, up: Floats) -> Floats:
+    """From the cloud to a camera on the side that was scanned, a little above it."""
+    facing = np.zeros(3) if cloud.normals is None else cloud.normals.mean(axis=0)
+    level = facing - (facing @ up) * up
+    if np.linalg.norm(level) < 1e-3:
+        level = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 0.0, 1.0])
+    level /= np.linalg.norm(level)
+    direction: Floats = level * np.cos(np.radians(22)) + up * np.sin(np.radians(22))
+    return direction
+
+
+def effective_pose(analysis: Analysis, wanted: Pose | None) -> tuple[Pose, Transform]:
+    """The pose to draw: the wanted one where it is known, else the best."""
+    known: dict[Pose, Transform | None] = {
+        "ground_truth": analysis.truth,
+        "estimate": analysis.estimate,
+        "loaded": np.eye(4),
+    }
+    order = [wanted, *known] if wanted is not None else [*known]
+    for name in order:
+        matrix = known[name]
+        if matrix is not None:
+            return name, matrix
+    raise AssertionError("the pose as loaded is always known")
+
+
+def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, placed: Placed) -> Picture:
+    """Draw an analysis as far as it has come."""
+    pose_name, pose = effective_pose(analysis, settings.pose)
+    source_colors, target_colors = point_colors(analysis, scores, settings)
+    rotation = pose[:3, :3]
+    position = (transforms.apply(pose, placed.source_centre[None])[0] - placed.target_centre) * placed.scale
+    right = np.cross(placed.up, placed.direction)
+    moved = placed.source_points @ rotation.T + position
+    if settings.layout == "side_by_side":
+        shift = (placed.target_points @ right).min() - GAP * EXTENT - (moved @ right).max()
+        position = position + shift * right
+        moved = moved + shift * right
+    ends, colors = lines(analysis, scores, settings)
+    starts = placed.source_points[ends[:, 0]] @ rotation.T + position
+    line_points = np.stack([starts, placed.target_points[ends[:, 1]]], axis=1)
+    return Picture(
+        source=CloudPicture(placed.source_points, source_colors, rotation, position),
+        target=CloudPicture(placed.target_points, target_colors, np.eye(3), np.zeros(3)),
+        point_size=POINT_RADIUS * placed.spacing * settings.point_size,
+        line_points=line_points.astype(np.float32),
+        line_colors=colors,
+        view=_view(placed, np.concatenate([moved, placed.target_points])),
+        scene=(analysis.index, settings.layout, pose_name, placed),
+    )
+
+
+def _view(placed: Placed, points: Floats) -> View:
+    low, high = np.percentile(points, (100 - _FRAMED, _FRAMED), axis=0)
+    inside = points[((points >= low) & (points <= high)).all(axis=1)]
+    if len(inside) < 10:
+        inside = points
+    # The middle of what is seen, not of the box: along the picture's own axes.
+    right = np.cross(placed.up, placed.direction)
+    axes = np.stack([right, np.cross(placed.direction, right), placed.direction])
+    extents = inside @ axes.T
+    look_at = (extents.min(axis=0) + extents.max(axis=0)) / 2 @ axes
+    # A subset of the points spans nearly the same view at a fraction of the time.
+    return View(look_at, placed.direction, placed.up, inside[:: max(1, len(inside) // 4000)])
+
+
+def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors]:
+    """Colours of both clouds as chosen, or what comes closest before the stages for that are done."""
+    source_features, target_features = analysis.source_features, analysis.target_features
+    if settings.coloring != "original" and source_features is not None and target_features is not None:
+        if settings.coloring == "error" and scores is not None and scores.reference is not None:
+            assert analysis.matches is not None
+            assert analysis.back_matches is not None
+            scale = error_scale(analysis, settings)
+            return (
+                _errors_of_points(len(analysis.source), analysis.matches, scores.forward, scores.source_partner,
+                                  settings, scale),
+                _errors_of_points(len(analysis.target), analysis.back_matches, scores.back, scores.target_partner,
+                                  settings, scale),
+            )  # fmt: skip
+        basis = feature_basis(source_features.vectors, target_features.vectors)
+        return (
+            _spread(source_features, feature_colors(source_features.vectors, basis), len(analysis.source)),
+            _spread(target_features, feature_colors(target_features.vectors, basis), len(analysis.target)),
+        )
+    return _own_colors(analysis.source, SOURCE_TINT), _own_colors(analysis.target, TARGET_TINT)
+
+
+def error_scale(analysis: Analysis, settings: ViewSettings) -> float:
+    """Error from which on the colour is black, in cloud units."""
+    return analysis.resolved.error_scale if settings.error_scale is None else settings.error_scale
+
+
+def _own_colors(cloud: PointCloud, tint: tuple[int, int, int]) -> Colors:
+    if cloud.colors is not None and are_colors_usable(cloud.colors):
+        return cloud.colors
+    return shaded_colors(tint, cloud.points, cloud.normals, viewpoint=cloud.viewpoint)
+
+
+def _spread(features: Features, colors: Colors, count: int) -> Colors:
+    """Colours of the described points among all points of a cloud."""
+    all_colors = np.tile(np.asarray(NO_MATCH, dtype=np.uint8), (count, 1))
+    all_colors[features.indices] = colors
+    return all_colors
+
+
+def _errors_of_points(
+    count: int, table: MatchTable, measured: MatchErrors, partner: npt.NDArray[np.bool_], settings: ViewSettings,
+    scale: float,
+) -> Colors:  # fmt: skip
+    errors = np.full(count, np.nan)
+    rows = kept_rows(table, settings)
+    errors[table.correspondences.indices[rows, 0]] = measured.errors[rows]
+    return error_colors(errors, scale=scale, has_partner=partner)
+
+
+def lines(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[npt.NDArray[np.int64], Colors]:
+    """The matches to draw: their two rows, and their colours."""
+    if analysis.matches is None or scores is None:
+        return np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8)
+    rows = kept_rows(analysis.matches, settings)
+    chosen = choose_lines(
+        rows,
+        # Without a pose nothing is known but how alike the features are.
+        scores.forward.errors if scores.reference is not None else analysis.matches.correspondences.distances,
+        scores.forward.has_partner if scores.reference is not None else np.ones(len(analysis.matches), dtype=bool),
+        settings,
+    )
+    scale = error_scale(analysis, settings)
+    colors = error_colors(scores.forward.errors[chosen], scale=scale, has_partner=scores.forward.has_partner[chosen])
+    if scores.reference is None:
+        colors = np.tile(np.asarray(UNJUDGED, dtype=np.uint8), (len(chosen), 1))
+    return analysis.matches.correspondences.indices[chosen], colors
+
+
+def choose_lines(
+    rows: npt.NDArray[np.int64],
+    badness: npt.NDArray[np.floating],
+    has_partner: npt.NDArray[np.bool_],
+    settings: ViewSettings,
+) -> npt.NDArray[np.int64]:
+    """Pick `settings.line_count` of `rows`.
+
+    Args:
+        rows: Of the table of matches, those that passed the filters.
+        badness: Of every match of the table: its error.
+        has_partner: Whether a match of the table could be right; the others are drawn only at random.
+        settings: How many, and which.
+
+    Returns:
+        Rows of the table; the same ones for the same arguments.
+    """
+    count = settings.line_count
+    if settings.line_choice == "random":
+        order = np.random.default_rng(0).permutation(len(rows))
+        return np.sort(rows[order[:count]])
+    rows = rows[has_partner[rows]]
+    rows = rows[np.argsort(badness[rows], kind="stable")]
+    if settings.line_choice == "best":
+        return rows[:count]
+    if settings.line_choice == "worst":
+        return rows[max(len(rows) - count, 0) :]
+    # Evenly by error, so that a hundred lines show the shares that all matches have.
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).round().astype(np.int64))]

@@ -1,0 +1,355 @@
+"""The state behind the page: what was asked for, what is known, and who wants to hear of changes."""
+
+import shlex
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from app import snapshot as snapshots
+from app.analysis import Analysis, Analyst, Scores, kept_rows, score
+from app.jobs import Job, Worker
+from app.picture import Picture, Placed, draw, place
+from app.settings import Reference, ViewSettings
+from app.snapshot import CloudInfo, Message, Snapshot, Status
+from cgf import pipeline
+from cgf.checks import InputError
+from cgf.evaluation.matches import export_matches
+from cgf.types import Pair, Transform
+
+Listener = Callable[[], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PairSource:
+    """A pair that can be opened."""
+
+    name: str
+    load: Callable[[], Pair]
+    command: tuple[str, ...] = ()
+    """Arguments that open it with `cgf match`; empty where it has no files."""
+
+
+class Session:
+    """One run of the viewer. Its methods may be called from any thread; listeners are called from several."""
+
+    def __init__(
+        self, pairs: Sequence[PairSource], settings: ViewSettings, *, given_estimate: Transform | None = None
+    ) -> None:
+        """Open `pairs` with the first settings; nothing runs before `start`.
+
+        Args:
+            pairs: At least one.
+            settings: From the command line.
+            given_estimate: A pose of the first pair to be diagnosed.
+        """
+        self._pairs = tuple(pairs)
+        self._analyst = Analyst(lambda index: self._pairs[index].load(), given_estimate=given_estimate)
+        self._lock = threading.RLock()
+        self._listeners: list[Listener] = []
+        self._settings = settings
+        self._revision = 0
+        self._status = Status("working", "Starting", 0.0)
+        self._error: str | None = None
+        self._analysis: Analysis | None = None
+        self._work_done: tuple[object, ...] | None = None
+        self._placed: tuple[Analysis, Placed] | None = None
+        self._scored: tuple[Analysis, Reference | None, Scores | None] | None = None
+        self._picture: Picture | None = None
+        self._snapshot: Snapshot | None = None
+        # Estimating a pose cannot be stopped half-way, so it has a thread of its own and holds up nothing.
+        self._worker = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
+        self._estimator = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
+
+    def start(self) -> None:
+        """Begin with the first pair."""
+        self._submit()
+
+    def close(self) -> None:
+        """Stop working; does not wait."""
+        self._worker.close()
+        self._estimator.close()
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call `listener` after every change, until the function returned is called."""
+        with self._lock:
+            self._listeners.append(listener)
+
+        def forget() -> None:
+            with self._lock:
+                if listener in self._listeners:
+                    self._listeners.remove(listener)
+
+        return forget
+
+    def wait_until_idle(self, timeout_s: float | None = None) -> bool:
+        """Wait until nothing is left to do; tells whether that came true."""
+        return self._worker.wait_until_idle(timeout_s) and self._estimator.wait_until_idle(timeout_s)
+
+    @property
+    def settings(self) -> ViewSettings:
+        """What was asked for last."""
+        with self._lock:
+            return self._settings
+
+    @property
+    def status(self) -> Status:
+        """What the worker does."""
+        with self._lock:
+            return self._status
+
+    @property
+    def revision(self) -> int:
+        """Number of the current snapshot, but for its status."""
+        with self._lock:
+            return self._revision
+
+    def picture(self) -> Picture | None:
+        """What is to be drawn; the same object until it changes, None before there are clouds."""
+        with self._lock:
+            return self._picture
+
+    def change(self, changes: Mapping[str, Any]) -> Snapshot:
+        """Replace some settings; what needs no worker is shown at once.
+
+        Raises:
+            ValueError: A setting cannot be used; nothing has changed then.
+        """
+        with self._lock:
+            settings = self._settings.changed(changes, pairs=len(self._pairs))
+            analysis = self._analysis
+            needs_work = settings.work_key != self._settings.work_key
+            if needs_work and analysis is not None and settings.pair == analysis.index:
+                try:
+                    pipeline.resolve(settings.pair_settings(), analysis.pair.source, analysis.pair.target)
+                except ValueError as error:
+                    raise InputError(_in_words_of_the_page(str(error))) from error
+            self._settings = settings
+            self._error = None
+            if needs_work:
+                self._status = Status("working", "Starting", 0.0)
+                self._submit()
+            else:
+                self._redraw()
+        self._notify()
+        return self.snapshot()
+
+    def cancel(self) -> None:
+        """Stop the running work; what is shown stays."""
+        self._worker.cancel()
+        self._estimator.cancel()
+        with self._lock:
+            if self._status.phase == "working":
+                self._status = Status("failed", "Stopped", 0.0)
+                self._error = "Stopped before the end; what is shown may belong to other settings."
+                self._touch()
+        self._notify()
+
+    def snapshot(self) -> Snapshot:
+        """The state of the page now."""
+        with self._lock:
+            if self._snapshot is None or self._snapshot.revision != self._revision:
+                self._snapshot = self._build_snapshot()
+            settled = self._status.phase == "ready" and self._work_done == self._settings.work_key
+            return replace(self._snapshot, status=self._status, settled=settled)
+
+    def export(self, suffix: str) -> bytes:
+        """The matches that pass the filters, as `cgf match` writes them.
+
+        Args:
+            suffix: `.csv` or `.npz`.
+
+        Raises:
+            InputError: There are no matches yet.
+        """
+        with self._lock:
+            analysis, settings = self._analysis, self._settings
+            scores = self._scores()
+        if analysis is None or analysis.matches is None or scores is None:
+            raise InputError("There are no matches yet; wait until they are computed.")
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"matches{suffix}"
+            rows = kept_rows(analysis.matches, settings)
+            export_matches(path, analysis.source, analysis.target, analysis.matches, rows, scores.forward)
+            return path.read_bytes()
+
+    def _submit(self) -> None:
+        settings, started = self._settings, time.perf_counter()
+        self._estimator.cancel()
+
+        def work(job: Job) -> None:
+            self._analyst.run(settings, job, lambda analysis: self._show(analysis, job))
+            with self._lock:
+                job.check()
+                analysis = self._analysis
+                assert analysis is not None
+                elapsed_s = time.perf_counter() - started
+                if analysis.given_estimate is None:
+                    self._status = Status("working", "Estimating the pose", 0.95)
+                    self._estimator.submit(lambda job: estimate(job, analysis, elapsed_s))
+                else:
+                    self._finish(settings, elapsed_s)
+
+        def estimate(job: Job, analysis: Analysis, elapsed_s: float) -> None:
+            registration = self._analyst.register(analysis)
+            with self._lock:
+                job.check()
+                self._analysis = replace(analysis, registration=registration)
+                self._redraw()
+                if analysis.truth is None:
+                    elapsed_s = time.perf_counter() - started
+                self._finish(settings, elapsed_s)
+
+        self._worker.submit(work)
+
+    def _finish(self, settings: ViewSettings, elapsed_s: float) -> None:
+        """Everything shown belongs to `settings` from now on; called with the lock held."""
+        self._work_done = settings.work_key
+        self._status = Status("ready", "Ready", 1.0, elapsed_s)
+        self._touch()
+
+    def _show(self, analysis: Analysis, job: Job) -> None:
+        with self._lock:
+            job.check()
+            shown = self._analysis
+            if shown is not None and shown.index == analysis.index and shown.matches is not None:
+                if analysis.matches is None:
+                    # The last good result stays until the matches of the new settings are there.
+                    return
+                # Until the new pose is estimated, the last one is a good judge of the new matches.
+                analysis = replace(analysis, registration=shown.registration)
+            self._analysis = analysis
+            self._redraw()
+        self._notify()
+
+    def _redraw(self) -> None:
+        """Draw what is known under the current settings; called with the lock held."""
+        analysis = self._analysis
+        if analysis is not None:
+            placed = self._placed
+            if placed is None or placed[0].source is not analysis.source or placed[0].target is not analysis.target:
+                self._placed = placed = (analysis, place(analysis))
+            self._picture = draw(analysis, self._scores(), self._settings, placed[1])
+        self._touch()
+
+    def _scores(self) -> Scores | None:
+        """Scores of the analysis shown, kept until it or the reference changes; called with the lock held."""
+        analysis = self._analysis
+        if analysis is None:
+            return None
+        wanted: Reference | None = self._settings.reference
+        if self._scored is None or self._scored[0] is not analysis or self._scored[1] != wanted:
+            self._scored = (analysis, wanted, score(analysis, wanted))
+        return self._scored[2]
+
+    def _touch(self) -> None:
+        self._revision += 1
+
+    def _notify(self) -> None:
+        with self._lock:
+            listeners = tuple(self._listeners)
+        for listener in listeners:
+            listener()
+
+    def _on_progress(self, share: float, text: str) -> None:
+        with self._lock:
+            self._status = Status("working", text, share)
+        self._notify()
+
+    def _on_error(self, error: Exception) -> None:
+        text = _in_words_of_the_page(str(error)) if isinstance(error, ValueError) else _unexpected(error)
+        with self._lock:
+            self._status = Status("failed", "Failed", 0.0)
+            self._error = text
+            self._touch()
+        self._notify()
+
+    def _build_snapshot(self) -> Snapshot:
+        analysis, settings = self._analysis, self._settings
+        names = tuple(pair.name for pair in self._pairs)
+        messages = [] if self._error is None else [Message("error", self._error)]
+        if analysis is None:
+            return Snapshot(
+                revision=self._revision, status=self._status, settled=False, pairs=names, settings=settings,
+                source=None, target=None, unit=None, model=None, controls=None, pose=None, reference=None,
+                numbers=None, estimate=None, curve=None, funnel=(), legend=None, messages=tuple(messages), command="",
+            )  # fmt: skip
+        scores = self._scores()
+        numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
+        messages += snapshots.messages_of(analysis, scores, numbers, settings)
+        sides = (
+            (analysis.pair.source, analysis.source, analysis.source_features),
+            (analysis.pair.target, analysis.target, analysis.target_features),
+        )
+        source, target = (
+            CloudInfo(loaded.name, len(loaded), len(prepared), None if features is None else len(features))
+            for loaded, prepared, features in sides
+        )
+        choice = analysis.resolved.choice
+        return Snapshot(
+            revision=self._revision,
+            status=self._status,
+            settled=False,
+            pairs=names,
+            settings=settings,
+            source=source,
+            target=target,
+            unit=snapshots.unit_of(analysis),
+            model=snapshots.Model(choice.name, choice.reason),
+            controls=snapshots.controls_of(analysis),
+            pose=snapshots.pose_of(analysis, settings),
+            reference=None if scores is None else scores.reference,
+            numbers=numbers,
+            estimate=snapshots.estimate_of(analysis),
+            curve=curve,
+            funnel=snapshots.funnel_of(analysis, settings, numbers),
+            legend=snapshots.legend_of(analysis, scores, settings),
+            messages=tuple(messages),
+            command=_command(self._pairs[analysis.index], settings),
+        )
+
+
+def _command(pair: PairSource, settings: ViewSettings) -> str:
+    """The `cgf match` that writes the matches shown."""
+    if not pair.command:
+        return ""
+    options: list[object] = ["--descriptor", settings.descriptor]
+    for option, value in (
+        ("--model", None if settings.model == "auto" else settings.model),
+        ("--dim", settings.dim),
+        ("--radius", settings.support_radius),
+        ("--min-radius", settings.min_radius),
+        ("--lrf-radius", settings.lrf_radius),
+        ("--voxel", settings.voxel_size),
+        ("--ratio", settings.max_ratio),
+    ):
+        if value is not None:
+            options += [option, value]
+    if settings.mutual:
+        options.append("--mutual")
+    return shlex.join(["cgf", "match", *pair.command, *map(str, options), "-o", "matches.csv"])
+
+
+_PAGE_WORDS = {
+    "--min-radius": "Minimum radius",
+    "--lrf-radius": "Frame radius",
+    "--radius": "Support radius",
+    "--voxel": "Voxel size",
+    "--ratio": "Ratio",
+    "--descriptor": "Descriptor",
+    "--dim": "Dimensions",
+}
+
+
+def _in_words_of_the_page(text: str) -> str:
+    """Errors name options of the command line; the page has controls instead."""
+    for option, label in _PAGE_WORDS.items():
+        text = text.replace(option, label)
+    return text
+
+
+def _unexpected(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}; start cgf-viewer with --debug to see where."

@@ -1,0 +1,124 @@
+"""What a person can choose in the page, and how it is kept within what makes sense."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, get_args
+
+from cgf.pipeline import PairSettings
+
+LineChoice = Literal["stratified", "random", "best", "worst"]
+Layout = Literal["side_by_side", "overlaid"]
+Pose = Literal["loaded", "ground_truth", "estimate"]
+Reference = Literal["ground_truth", "estimate"]
+Coloring = Literal["error", "features", "original"]
+ModelRequest = Literal["auto", "object", "indoor"]
+
+MAX_LINES = 5_000
+POINT_SIZES = (0.25, 4.0)
+
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """Every control of the page; None takes what suits the pair."""
+
+    pair: int = 0
+    """Which of the pairs that were opened."""
+    model: ModelRequest = "auto"
+    descriptor: str = "cgf"
+    dim: int | None = None
+    """Number of values of a feature; None is the descriptor's usual one."""
+    support_radius: float | None = None
+    """Radius of the neighbourhood described, in cloud units."""
+    min_radius: float | None = None
+    """Radius of its innermost shell; None keeps the model's share of `support_radius`."""
+    lrf_radius: float | None = None
+    """Radius of the neighbourhood that gives the local frame, in cloud units."""
+    voxel_size: float | None = None
+    """Edge of the voxels for downsampling, in cloud units; 0 keeps every point."""
+    mutual: bool = False
+    """Keep only matches that are each other's nearest."""
+    max_ratio: float | None = None
+    """Keep only matches at most this share of the second nearest's distance away; None keeps all."""
+    line_count: int = 300
+    """How many matches are drawn as lines."""
+    line_choice: LineChoice = "stratified"
+    """Which matches are drawn: evenly by error, at random, or the best or the worst."""
+    error_scale: float | None = None
+    """Error from which on the colour is black, in cloud units."""
+    point_size: float = 1.0
+    """Relative to the size that just closes the surface."""
+    layout: Layout = "side_by_side"
+    pose: Pose | None = None
+    """Where the source is drawn; None is the best pose known."""
+    reference: Reference | None = None
+    """What errors are measured against; None is the ground truth where there is one."""
+    coloring: Coloring = "error"
+
+    def pair_settings(self) -> PairSettings:
+        """The part the computation depends on."""
+        return PairSettings(
+            model=self.model,
+            descriptor=self.descriptor,
+            dim=self.dim,
+            support_radius=self.support_radius,
+            min_radius=self.min_radius,
+            lrf_radius=self.lrf_radius,
+            voxel_size=self.voxel_size,
+            mutual=self.mutual,
+            max_ratio=self.max_ratio,
+        )
+
+    @property
+    def work_key(self) -> tuple[object, ...]:
+        """All that needs the worker when it changes; the rest is drawn again at once."""
+        return (self.pair, self.pair_settings())
+
+    def changed(self, changes: Mapping[str, Any], *, pairs: int) -> "ViewSettings":
+        """These settings with some replaced and every number clamped to what can be drawn.
+
+        Args:
+            changes: New values by name.
+            pairs: How many pairs there are to choose from.
+
+        Raises:
+            ValueError: There is no such setting, or a choice that is not offered.
+        """
+        known = {field.name for field in fields(self)}
+        for name in changes:
+            if name not in known:
+                raise ValueError(f"settings must be known, got {name}")
+        new = replace(self, **changes)
+        for name, choices in _CHOICES.items():
+            if getattr(new, name) not in choices:
+                shown = ", ".join(str(choice) for choice in choices if choice is not None)
+                raise ValueError(f"{name} must be one of {shown}, got {getattr(new, name)}")
+        if not 0 <= new.pair < pairs:
+            raise ValueError(f"pair must be from 0 to {pairs - 1}, got {new.pair}")
+        if "descriptor" in changes and "dim" not in changes and new.descriptor != self.descriptor:
+            # Descriptors differ in the dimensions they offer.
+            new = replace(new, dim=None)
+        if "support_radius" in changes and "min_radius" not in changes:
+            new = replace(new, min_radius=None)
+        if new.pair != self.pair:
+            # Lengths belong to one pair's units and extent.
+            lengths: dict[str, Any] = {name: changes.get(name) for name in _LENGTHS}
+            new = replace(new, **lengths)
+        if new.error_scale is not None and not (math.isfinite(new.error_scale) and new.error_scale > 0):
+            raise ValueError(f"error_scale must be positive, got {new.error_scale:g}")
+        return replace(
+            new,
+            line_count=min(max(new.line_count, 0), MAX_LINES),
+            point_size=min(max(new.point_size, POINT_SIZES[0]), POINT_SIZES[1]),
+        )
+
+
+_LENGTHS = ("support_radius", "min_radius", "lrf_radius", "voxel_size", "error_scale")
+_CHOICES: dict[str, tuple[object, ...]] = {
+    "model": get_args(ModelRequest),
+    "line_choice": get_args(LineChoice),
+    "layout": get_args(Layout),
+    "pose": (None, *get_args(Pose)),
+    "reference": (None, *get_args(Reference)),
+    "coloring": get_args(Coloring),
+}

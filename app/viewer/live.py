@@ -1,0 +1,48 @@
+"""The 3D scene of a running session, which comes up while the page loads."""
+
+import asyncio
+import threading
+
+from starlette.websockets import WebSocket
+
+from app.session import Session
+from app.viewer.server import ViserHost, client_page
+
+
+class LiveScene:
+    """Starts viser in a thread of its own and draws every picture of the session into it."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._page = client_page()
+        self._ready = threading.Event()
+        threading.Thread(target=self._start, name="viser-start", daemon=True).start()
+
+    def page(self) -> str:
+        """The page of the scene, for the frame in ours."""
+        return self._page
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Talk to one browser until it goes away; the socket is not accepted yet."""
+        await asyncio.to_thread(self._ready.wait)
+        await self._host.serve(socket)
+
+    def reset_cameras(self) -> None:
+        """Show the whole scene in every tab."""
+        if self._ready.is_set():
+            self._view.reset_cameras()
+
+    def stop(self) -> None:
+        """End the connections and viser's threads, if they ever started."""
+        if self._ready.is_set():
+            self._host.stop()
+
+    def _start(self) -> None:
+        # Imports viser, which takes half a second that the page need not wait for.
+        from app.viewer.scene import SceneView
+
+        self._host = ViserHost()
+        self._view = SceneView(self._host.server, self._session.picture)
+        self._ready.set()
+        self._session.listen(self._view.update)
+        self._view.update()

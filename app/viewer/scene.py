@@ -1,0 +1,118 @@
+"""Puts pictures into viser, sending only what changed."""
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+import viser
+import viser.transforms
+
+from app.colors import line_colors
+from app.picture import FIELD_OF_VIEW, CloudPicture, Picture, View
+
+LINE_PIXELS = 1.6
+_USUAL_ASPECT = 1.7
+
+
+class SceneView:
+    """The scene of one viser server, the same in every tab; cameras are each tab's own."""
+
+    def __init__(self, server: viser.ViserServer, picture: Callable[[], Picture | None]) -> None:
+        """Draw into `server` what `picture` gives at the time of `update`."""
+        self._server = server
+        self._picture = picture
+        self._drawn: Picture | None = None
+        self._clouds: dict[str, viser.PointCloudHandle] = {}
+        self._lines: viser.LineSegmentsHandle | None = None
+        self._lock = threading.Lock()
+        server.initial_camera.fov = float(FIELD_OF_VIEW)
+        server.on_client_connect(self._frame)
+
+    def update(self) -> None:
+        """Draw the current picture."""
+        with self._lock:
+            before, picture = self._drawn, self._picture()
+            if picture is None or picture is before:
+                return
+            with self._server.atomic():
+                for name in ("source", "target"):
+                    cloud_before = None if before is None else getattr(before, name)
+                    self._draw_cloud(name, getattr(picture, name), cloud_before, point_size=picture.point_size)
+                self._draw_lines(picture, before)
+                moved = before is None or before.scene != picture.scene
+                if moved:
+                    self._set_first_view(picture.view)
+            self._server.flush()
+            self._drawn = picture
+        if moved:
+            self.reset_cameras()
+
+    def reset_cameras(self) -> None:
+        """Show the whole scene in every tab."""
+        for client in self._server.get_clients().values():
+            self._frame(client)
+
+    def _draw_cloud(self, name: str, cloud: CloudPicture, before: CloudPicture | None, *, point_size: float) -> None:
+        wxyz = viser.transforms.SO3.from_matrix(cloud.rotation).wxyz
+        if before is None or before.points is not cloud.points:
+            self._clouds[name] = self._server.scene.add_point_cloud(
+                f"/{name}",
+                cloud.points,
+                cloud.colors,
+                point_size=point_size,
+                point_shape="circle",
+                # The pixels of a point have exactly its colour, which the legend is compared with.
+                point_shading="flat",
+                precision="float32",
+                wxyz=wxyz,
+                position=cloud.position,
+            )
+            return
+        handle = self._clouds[name]
+        if not np.array_equal(before.colors, cloud.colors):
+            handle.colors = cloud.colors
+        if not np.array_equal(before.rotation, cloud.rotation):
+            handle.wxyz = wxyz
+        if not np.array_equal(before.position, cloud.position):
+            handle.position = cloud.position
+        if handle.point_size != point_size:
+            handle.point_size = point_size
+
+    def _draw_lines(self, picture: Picture, before: Picture | None) -> None:
+        if (
+            before is not None
+            and np.array_equal(before.line_points, picture.line_points)
+            and np.array_equal(before.line_colors, picture.line_colors)
+        ):
+            return
+        if not len(picture.line_points):
+            if self._lines is not None:
+                self._lines.remove()
+                self._lines = None
+            return
+        colors = np.repeat(line_colors(picture.line_colors)[:, None], 2, axis=1)
+        self._lines = self._server.scene.add_line_segments(
+            "/matches", picture.line_points, colors, thickness=LINE_PIXELS, thickness_units="screen"
+        )
+
+    def _set_first_view(self, view: View) -> None:
+        """Where tabs start that are opened from now on."""
+        self._server.scene.set_up_direction(view.up)
+        camera = self._server.initial_camera
+        camera.up = view.up
+        camera.position = view.position(_USUAL_ASPECT)
+        camera.look_at = view.look_at
+
+    def _frame(self, client: viser.ClientHandle) -> None:
+        """Show the whole scene in one tab, whatever the shape of its window."""
+        picture = self._drawn
+        if picture is None:
+            return
+        camera = client.camera
+        aspect = camera.image_width / max(camera.image_height, 1)
+        view = picture.view
+        with client.atomic():
+            camera.up_direction = view.up
+            camera.position = view.position(aspect if aspect > 0 else 1.0)
+            camera.look_at = view.look_at
+        client.flush()
