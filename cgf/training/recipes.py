@@ -3,78 +3,22 @@
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import Literal
+from dataclasses import asdict
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from cgf.descriptors.network import Network, NetworkCard, NetworkKind, write_network
-from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults, ModelName
+from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults
 from cgf.training.batches import Augmentation, Batch, Batches
 from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
 from cgf.training.loop import LoopSettings, train
 from cgf.training.loss import contrastive_loss, triplet_loss
 from cgf.training.modules import AzimuthNetwork, PaperNetwork
+from cgf.training.settings import TrainSettings
 from cgf.training.triplets import TripletBatch, Triplets
 from cgf.types import Progress
-
-
-@dataclass(frozen=True)
-class TrainSettings:
-    """Settings of `cgf train`, from meshes or from fragments with poses."""
-
-    output: Path
-    """Weights to write, NAME.safetensors; the card goes beside it, checkpoints into the folder NAME."""
-    meshes: Path | None = None
-    """Folder of meshes to render range images of."""
-    scenes: tuple[Path, ...] = ()
-    """Folders of fragments cloud_bin_N.ply with a gt.log of their relative poses."""
-    model: ModelName = "object"
-    """Whose lengths to use: `object` takes shares of the diameter, `indoor` metres."""
-    recipe: Literal["contrastive", "paper", "pca"] = "contrastive"
-    """`paper` trains on 40 triplets a point for three epochs, `pca` fits principal components."""
-    dims: tuple[int, ...] = (8, 16, 24, 32, 64)
-    """Widths of the feature; the recipes `paper` and `pca` take the last alone."""
-    steps: int | None = None
-    """Minibatches; none stands for 6,000 (contrastive) or three epochs (paper)."""
-    batch: int = 512
-    """Correspondences (contrastive) or triplets (paper) per minibatch."""
-    overlaps_per_batch: int = 8
-    """Overlapping pairs that the correspondences of one minibatch come from."""
-    learning_rate: float | None = None
-    """None stands for 1e-3 (contrastive) or the paper's 1e-4."""
-    temperature: float = 0.07
-    """Of the contrastive loss."""
-    view_sets: int = 2
-    """Sets of 14 range images per mesh, each turned anew."""
-    noise: tuple[float, float] = (0.0, 0.004)
-    """Range of the standard deviation of the noise in range images, in diameters."""
-    voxel_sizes: tuple[float, ...] = ()
-    """For scenes: densities to train on, in metres; none stands for the model's own."""
-    precision: Literal["bfloat16", "float32"] = "float32"
-    """bfloat16 is three times faster on processors with AMX."""
-    threads: int = 1
-    """Of torch; results are repeatable to the bit for the same number."""
-    checkpoint_every: int = 100
-    """Minibatches between checkpoints."""
-    seed: int = 1
-
-    def __post_init__(self) -> None:
-        if (self.meshes is None) == (not self.scenes):
-            raise ValueError(
-                "one of --meshes and --scenes must be given, got " + ("both" if self.scenes else "neither")
-            )
-        if self.output.suffix != ".safetensors":
-            raise ValueError(f"--output must end in .safetensors, got {self.output}")
-        if self.batch % self.overlaps_per_batch:
-            raise ValueError(
-                f"--batch must be a multiple of --overlaps-per-batch ({self.overlaps_per_batch}), got {self.batch}"
-            )
-        if not self.dims or list(self.dims) != sorted(set(self.dims)) or self.dims[0] < 1:
-            raise ValueError(f"--dims must be ascending and positive, got {self.dims}")
 
 
 def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Network:
