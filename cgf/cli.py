@@ -332,9 +332,12 @@ def _sentence(error: Exception) -> str:
 
 class _Version(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
-        from importlib.metadata import version
+        from importlib.metadata import PackageNotFoundError, version
 
-        print(version("cgf-viewer"))
+        try:
+            print(version("cgf-viewer"))
+        except PackageNotFoundError:
+            print("unknown: run from a checkout that is not installed")
         parser.exit()
 
 

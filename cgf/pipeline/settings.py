@@ -141,9 +141,10 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
     defaults = MODEL_DEFAULTS[choice.name].scaled(diameter)
     dim, computed_dim = _dimensions(settings, choice.name)
     voxel_size = _voxel_size(settings.voxel_size, defaults)
-    spacing = max(_spacing(source), _spacing(target), voxel_size)
+    points_apart = max(_spacing(source), _spacing(target))
+    spacing = max(points_apart, voxel_size)
     support_radius = defaults.support_radius if settings.support_radius is None else settings.support_radius
-    if settings.voxel_size is not None and voxel_size >= support_radius > 0:
+    if settings.voxel_size is not None and voxel_size >= support_radius > points_apart:
         raise InputError(
             f"--voxel must be below the radius ({support_radius:.3g}), got {voxel_size:.3g}; "
             f"try {support_radius / 30:.2g}"

@@ -1,0 +1,338 @@
+import argparse
+import csv
+import importlib.metadata
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cgf import cli, pipeline
+from cgf.checks import InputError
+from cgf.evaluation.matches import match_errors
+from cgf.geometry import transforms
+from cgf.io import read_transform, write_cloud, write_transform
+from cgf.pipeline import PairSettings
+from cgf.types import PointCloud
+
+MOTION = transforms.rigid(transforms.rotation_about([1, 2, -1], 1.0), [0.5, -1.0, 2.0])
+OPTIONS = ["--descriptor", "fpfh", "--voxel", "0.1"]
+
+
+def sheet(count: int = 4000, seed: int = 0) -> PointCloud:
+    x, y = np.random.default_rng(seed).uniform(-1.5, 1.5, size=(2, count))
+    z = 0.3 * np.sin(3 * x) + 0.4 * np.cos(2 * y) * x
+    return PointCloud(np.column_stack([x, y, z]), viewpoint=np.array([0.0, 0.0, 30.0]))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two clouds of one surface, and the motion between them."""
+    path = tmp_path_factory.mktemp("clouds")
+    write_cloud(path / "target.npz", sheet())
+    write_cloud(path / "source.npz", transforms.move(transforms.invert(MOTION), sheet(seed=1)))
+    write_transform(path / "pose.txt", MOTION)
+    return path
+
+
+@pytest.fixture
+def clouds(folder: Path) -> list[str]:
+    return [str(folder / "source.npz"), str(folder / "target.npz")]
+
+
+def test_describe_writes_points_with_their_features(folder: Path, tmp_path: Path, capsys) -> None:
+    output = tmp_path / "features.npz"
+    assert cli.main(["describe", str(folder / "target.npz"), "-o", str(output), *OPTIONS]) == 0
+    with np.load(output) as arrays:
+        assert arrays["features"].shape == (len(arrays["points"]), 33)
+        assert arrays["features"].dtype == np.float32
+        assert arrays["normals"].shape == arrays["points"].shape
+        assert len(arrays["indices"]) == len(arrays["points"])
+        assert json.loads(str(arrays["settings"]))["voxel_size"] == 0.1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "Model indoor: the larger cloud spans" in said.err
+    assert "by 33 values." in said.err
+
+
+def test_match_writes_what_the_pipeline_computes_to_the_last_digit(
+    folder: Path, clouds: list[str], tmp_path: Path
+) -> None:
+    pose = str(folder / "pose.txt")
+    for suffix in ("csv", "npz"):
+        assert (
+            cli.main(["match", *clouds, "--gt", pose, "-o", str(tmp_path / f"m.{suffix}"), "--mutual", *OPTIONS]) == 0
+        )
+    pair = pipeline.load_pair(folder / "source.npz", folder / "target.npz", gt=folder / "pose.txt")
+    result = pipeline.run_pair(pair.source, pair.target, PairSettings(descriptor="fpfh", voxel_size=0.1, mutual=True))
+    measured = match_errors(
+        result.source, result.target, result.table,
+        target_from_source=pair.target_from_source, tau=result.settings.tau,
+    )  # fmt: skip
+    chosen = result.correspondences
+    expected = {
+        "source_index": chosen.indices[:, 0],
+        "target_index": chosen.indices[:, 1],
+        "source_x": result.source.points[chosen.indices[:, 0], 0],
+        "target_z": result.target.points[chosen.indices[:, 1], 2],
+        "feature_distance": chosen.distances,
+        "ratio": chosen.ratios,
+        "mutual": np.ones(len(chosen)),
+        "error": measured.errors[result.rows],
+        "has_partner": measured.has_partner[result.rows],
+    }
+    with (tmp_path / "m.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) > 100
+    with np.load(tmp_path / "m.npz") as arrays:
+        assert list(arrays) == list(rows[0])
+        for name, values in expected.items():
+            np.testing.assert_array_equal(arrays[name], values)
+            np.testing.assert_array_equal([float(row[name]) for row in rows], values.astype(np.float64))
+
+
+def test_match_reports_precision_under_the_pose(folder: Path, clouds: list[str], tmp_path: Path, capsys) -> None:
+    arguments = ["match", *clouds, "--gt", str(folder / "pose.txt"), "-o", str(tmp_path / "m.csv"), *OPTIONS]
+    assert cli.main(arguments) == 0
+    said = capsys.readouterr().err
+    assert "Precision within 0.1: " in said
+    assert "has a partner within 0.075; inlier ratio " in said
+
+
+def test_match_without_a_pose_has_no_errors(clouds: list[str], tmp_path: Path, capsys) -> None:
+    assert cli.main(["match", *clouds, "-o", str(tmp_path / "m.npz"), *OPTIONS]) == 0
+    assert "Precision" not in capsys.readouterr().err
+    with np.load(tmp_path / "m.npz") as arrays:
+        assert np.isnan(arrays["error"]).all()
+        assert not arrays["has_partner"].any()
+
+
+def test_register_prints_and_writes_the_pose(folder: Path, clouds: list[str], tmp_path: Path, capsys) -> None:
+    output, pose = tmp_path / "pose.txt", str(folder / "pose.txt")
+    assert cli.main(["register", *clouds, "--gt", pose, "-o", str(output), *OPTIONS]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    found = read_transform(output)
+    np.testing.assert_allclose(np.array([line.split() for line in lines[:4]], dtype=float), found, rtol=1e-8, atol=1e-8)
+    assert transforms.rotation_error_deg(found, MOTION) < 2
+    assert lines[4].startswith("fitness 1.0000, ")
+    assert ", rmse 0.0" in lines[4]
+    assert lines[4].endswith("correspondences agree")
+    assert lines[5].startswith("rotation error ")
+    assert "degrees, translation error 0.0" in lines[5]
+
+
+def test_register_fails_with_a_line_where_nothing_agrees(tmp_path: Path, capsys) -> None:
+    points = np.random.default_rng(0).normal(size=(12, 3))
+    write_cloud(tmp_path / "a.npz", PointCloud(points))
+    write_cloud(tmp_path / "b.npz", PointCloud(-(points[::-1] ** 3)))
+    output = tmp_path / "pose.txt"
+    clouds = [str(tmp_path / "a.npz"), str(tmp_path / "b.npz")]
+    arguments = [*clouds, "--descriptor", "fpfh", "--model", "object", "--radius", "5", "--voxel", "0", "--mutual"]
+    assert cli.main(["register", *arguments, "-o", str(output)]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "Warning: No motion was found that enough of the" in said.err
+    assert not output.exists()
+
+
+def test_quiet_leaves_results_only(clouds: list[str], capsys) -> None:
+    assert cli.main(["register", *clouds, "--quiet", *OPTIONS]) == 0
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 5
+    assert said.err == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--radius", "0.001"], "cgf match: --radius must be above the point spacing (0.1), got 0.001; try 1.2"),
+        (["--voxel", "1.5"], "cgf match: --voxel must be below the radius (1.2), got 1.5; try 0.04"),
+        (["--dim", "32"], "cgf match: --dim must be one of 33 with --descriptor fpfh, got 32"),
+        (["--ratio", "2"], "cgf match: --ratio must be above 0 and at most 1, got 2; try 0.9"),
+        (["-o", "matches.txt"], "cgf match: output must end in .csv or .npz, got matches.txt"),
+        (
+            ["-o", "no/folder/matches.csv"],
+            "cgf match: no/folder/matches.csv cannot be written: there is no folder no/folder; create it first",
+        ),
+    ],
+)
+def test_bad_settings_are_one_line_and_status_two(
+    clouds: list[str], tmp_path: Path, capsys, arguments: list[str], sentence: str
+) -> None:
+    output = tmp_path / "m.csv"
+    assert cli.main(["match", *clouds, "-o", str(output), *OPTIONS, *arguments]) == 2
+    assert capsys.readouterr().err == sentence + "\n"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_cloud_is_one_line_that_names_it(tmp_path: Path, capsys) -> None:
+    assert cli.main(["register", str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith("cgf register: ")
+    assert "a.ply" in said
+
+
+def test_a_pose_that_is_not_rigid_is_one_line(clouds: list[str], tmp_path: Path, capsys) -> None:
+    (tmp_path / "pose.txt").write_text("2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n")
+    assert cli.main(["register", *clouds, "--gt", str(tmp_path / "pose.txt")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "pose.txt" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ([], "cgf: the following arguments are required: COMMAND; see cgf --help"),
+        (
+            ["match", "a.ply", "b.ply"],
+            "cgf match: the following arguments are required: -o/--output; see cgf match --help",
+        ),
+        (
+            ["register", "a", "b", "--dim", "many"],
+            "cgf register: argument --dim: invalid int value: 'many'; see cgf register --help",
+        ),
+    ],
+)
+def test_bad_arguments_are_one_line_and_status_two(arguments: list[str], sentence: str, capsys) -> None:
+    with pytest.raises(SystemExit) as stop:
+        cli.main(arguments)
+    assert stop.value.code == 2
+    assert capsys.readouterr().err == sentence + "\n"
+
+
+def failing(error: BaseException) -> Callable[[], int]:
+    def command() -> int:
+        raise error
+
+    return command
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "line"),
+    [
+        (InputError("a.ply is\nempty"), 2, "cgf: a.ply is empty"),
+        (ValueError("radius must be positive, got 0"), 2, "cgf: radius must be positive, got 0"),
+        (ValueError(), 2, "cgf: failed with ValueError; --debug shows where"),
+        (KeyError("x"), 1, "cgf: failed with KeyError: 'x'; --debug shows where"),
+        (MemoryError(), 1, "cgf: memory does not suffice; choose a larger --voxel"),
+        (OSError(28, "No space left on device", "/tmp/a"), 1, "cgf: /tmp/a: No space left on device"),
+        (KeyboardInterrupt(), 130, "cgf: interrupted"),
+    ],
+)
+@pytest.mark.parametrize("debug", [False, True])
+def test_the_edge_turns_what_is_raised_into_a_line_and_a_status(
+    error: BaseException, status: int, line: str, debug: bool, capsys
+) -> None:
+    assert cli.run(failing(error), program="cgf", debug=debug) == status
+    said = capsys.readouterr().err
+    assert said.endswith(line + "\n")
+    assert ("Traceback" in said) == debug
+    if not debug:
+        assert said == line + "\n"
+
+
+def test_the_edge_passes_the_status_of_a_command_on() -> None:
+    assert cli.run(lambda: 7, program="cgf", debug=False) == 7
+
+
+def test_what_is_not_given_keeps_the_default() -> None:
+    parser = argparse.ArgumentParser()
+    cli.add_feature_options(parser)
+    assert cli.feature_settings(parser.parse_args([])) == PairSettings()
+    given = cli.feature_settings(
+        parser.parse_args(["--radius", "2", "--voxel", "0", "--model", "indoor", "--dim", "8"])
+    )
+    assert given == PairSettings(support_radius=2.0, voxel_size=0.0, model="indoor", dim=8)
+
+
+def test_help_names_every_command_and_comes_before_heavy_libraries() -> None:
+    code = "import sys\nfrom cgf.cli import main\ntry:\n    main(['--help'])\nfinally:\n    print(list(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    for command in cli.COMMANDS:
+        assert command.name in done.stdout
+    loaded = done.stdout.splitlines()[-1]
+    for heavy in ("numpy", "scipy", "torch", "open3d", "numba"):
+        assert f"'{heavy}'" not in loaded
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_the_version_is_printed(installed: bool, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    def version(name: str) -> str:
+        if not installed:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return "1.2.3"
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out.startswith("1.2.3" if installed else "unknown")
+
+
+def started(code: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+
+
+def test_control_c_ends_at_once_with_one_line() -> None:
+    process = started(
+        "import sys, threading\nfrom cgf.cli import run\n"
+        "def command():\n    print('ready', flush=True)\n    threading.Event().wait(60)\n    return 0\n"
+        "sys.exit(run(command, program='cgf match', debug=False))"
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    begin = time.monotonic()
+    os.kill(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert said.strip() == "cgf match: interrupted"
+    assert time.monotonic() - begin < 5
+
+
+def test_a_reader_that_has_seen_enough_is_no_error() -> None:
+    process = started(
+        "import sys\nfrom cgf.cli import run\n"
+        "def command():\n    sys.stdin.readline()\n    print('x' * 1_000_000)\n    return 0\n"
+        "sys.exit(run(command, program='cgf', debug=False))"
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    said = process.stderr.read()
+    process.stderr.close()
+    assert process.wait(timeout=20) == 1
+    assert said == ""
+
+
+def test_an_interrupted_export_leaves_no_half_file(tmp_path: Path) -> None:
+    from cgf.evaluation.matches import write_whole
+
+    output = tmp_path / "m.csv"
+    output.write_text("before")
+
+    def write(file) -> None:
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(output, write)
+    assert output.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [output]
+
+
+def test_an_export_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+    from cgf.evaluation.matches import write_whole
+
+    (tmp_path / "taken.csv").mkdir()
+    with pytest.raises(InputError, match=r"taken\.csv cannot be written: .*; choose another place"):
+        write_whole(tmp_path / "taken.csv", lambda file: file.close())
