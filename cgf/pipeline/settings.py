@@ -11,8 +11,11 @@ from cgf.checks import InputError
 from cgf.descriptors.settings import MODEL_DEFAULTS, ModelDefaults, ModelName
 from cgf.types import PointCloud
 
-ROOM = (2.0, 30.0)
-"""Diagonals of indoor fragments in metres, smallest and largest."""
+ROOM = (2.75, 30.0)
+"""Diagonals of the larger of two indoor fragments in metres, smallest and largest.
+
+Fragments of 3DMatch scenes measure 2.4 to 4.8 m; common object scans, scaled to about 1.7 units an axis, up to 2.7.
+"""
 ROOM_IN_MILLIMETRES = (1_000.0, 60_000.0)
 FRAME_SPACINGS = 3.0
 """A frame needs 5 neighbours, which this many times the point spacing holds amply on a surface."""
@@ -126,7 +129,10 @@ def choose_model(source: PointCloud, target: PointCloud, requested: str = "auto"
         return ModelChoice("object", "Model object, as requested: lengths are shares of the diameter.", warning)
     if room:
         return ModelChoice("indoor", f"Model indoor: the larger cloud spans {large:.3g} m, as rooms do.", warning)
-    reason = f"Model object: the clouds span {large:.3g} units, not the 2 to 30 m of a room, so scale is relative."
+    reason = (
+        f"Model object: the clouds span {large:.3g} units, not the {ROOM[0]:g} to {ROOM[1]:g} m of a room, "
+        "so scale is relative."
+    )
     return ModelChoice("object", reason, warning)
 
 

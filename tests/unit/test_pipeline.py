@@ -64,7 +64,9 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> None:
     ("size", "model", "words"),
     [
         (4.0, "indoor", "spans 4 m, as rooms do"),
-        (1.7, "object", "span 1.7 units, not the 2 to 30 m of a room"),
+        (1.7, "object", "span 1.7 units, not the 2.75 to 30 m of a room"),
+        (2.7, "object", "span 2.7 units"),
+        (2.8, "indoor", "spans 2.8 m"),
         (100.0, "object", "span 100 units"),
     ],
 )
