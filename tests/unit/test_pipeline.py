@@ -9,6 +9,7 @@ import pytest
 
 from cgf import descriptors, pipeline
 from cgf.checks import InputError
+from cgf.datasets.demo import load_demo
 from cgf.descriptors.settings import MODEL_DEFAULTS, DescriptorSettings
 from cgf.geometry import transforms
 from cgf.io import write_cloud, write_transform
@@ -292,6 +293,20 @@ def test_real_features_find_the_motion_of_a_moved_copy() -> None:
     assert result.registration is not None
     assert result.registration.target_from_source is not None
     assert transforms.rotation_error_deg(result.registration.target_from_source, MOTION) < 1
+
+
+@pytest.mark.parametrize("descriptor", ["cgf", "fpfh"])
+def test_the_demo_pair_is_registered(descriptor: str) -> None:
+    demo = load_demo()
+    result = run_pair(demo.source, demo.target, PairSettings(descriptor=descriptor), register=True)
+    assert result.settings.model == "indoor"
+    assert result.warnings == ()
+    assert result.registration is not None
+    assert result.registration.target_from_source is not None
+    assert demo.target_from_source is not None
+    assert transforms.rotation_error_deg(result.registration.target_from_source, demo.target_from_source) < 1
+    assert transforms.translation_error(result.registration.target_from_source, demo.target_from_source) < 0.05
+    assert result.registration.fitness > 0.8
 
 
 def test_progress_rises_to_one_and_names_the_stages(learned: None) -> None:
