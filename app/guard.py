@@ -69,16 +69,16 @@ class Guard:
 
     def _refusal(self, scope: Scope) -> tuple[HTTPStatus, str] | None:
         headers = Headers(scope=scope)
-        host = headers.get("host", "")
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
+        host = hosts[0] if len(hosts) == 1 else ""
         if not self._is_own_host(host):
             return HTTPStatus.MISDIRECTED_REQUEST, "This viewer does not answer to that host name."
         token = scope["path"].split("/", 2)[1] if scope["path"].startswith("/") else ""
         if not hmac.compare_digest(token.encode(), self._token):
             return HTTPStatus.FORBIDDEN, "The token is missing or wrong: open the whole URL that cgf-viewer printed."
-        origin = headers.get("origin")
         needs_origin = scope["type"] == "websocket"
         changes_state = scope["type"] == "http" and scope["method"] not in _SAFE_METHODS
-        if (needs_origin and origin is None) or (origin is not None and not _is_same_origin(origin, host)):
+        if (needs_origin and not origins) or not all(_is_same_origin(origin, host) for origin in origins):
             return HTTPStatus.FORBIDDEN, "Only this viewer's own page may do that."
         if changes_state and headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
             return HTTPStatus.FORBIDDEN, "Only this viewer's own page may do that."

@@ -17,6 +17,9 @@ from cgf import cli
 from cgf.checks import InputError
 
 if TYPE_CHECKING:
+    import uvicorn
+    from starlette.types import ASGIApp
+
     from app.session import PairSource, Session
     from cgf.types import Transform
 
@@ -198,26 +201,20 @@ def _import_server() -> None:
     import viser  # noqa: F401
 
 
-def _serve(session: "Session", listening: socket.socket, options: argparse.Namespace) -> int:
+def make_server(app: "ASGIApp", *, debug: bool) -> "uvicorn.Server":
+    """A server for one local user; it ends at the first signal."""
     import uvicorn
 
-    from app.guard import Guard, new_token
-    from app.routes import create_app
-    from app.viewer.live import LiveScene
-
     class Server(uvicorn.Server):
-        """Ends at the first Ctrl-C: open pages hold connections that would never end by themselves."""
+        """Does not wait for open pages, whose connections would never end by themselves."""
 
         def handle_exit(self, sig: int, frame: FrameType | None) -> None:
             self.force_exit = True
             super().handle_exit(sig, frame)
 
-    token = new_token()
-    scene = LiveScene(session)
-    app = Guard(create_app(session, scene), token=token, hosts=[options.host, socket.gethostname()])
     config = uvicorn.Config(
         app,
-        log_level="debug" if options.debug else "critical",
+        log_level="debug" if debug else "critical",
         access_log=False,
         server_header=False,
         lifespan="off",
@@ -225,10 +222,22 @@ def _serve(session: "Session", listening: socket.socket, options: argparse.Names
         ws_per_message_deflate=False,
         ws_max_size=64 << 20,
     )
+    return Server(config)
+
+
+def _serve(session: "Session", listening: socket.socket, options: argparse.Namespace) -> int:
+    from app.guard import Guard, new_token
+    from app.routes import create_app
+    from app.viewer.live import LiveScene
+
+    token = new_token()
+    scene = LiveScene(session)
+    app = Guard(create_app(session, scene), token=token, hosts=[options.host, socket.gethostname()])
+    server = make_server(app, debug=options.debug)
     _announce(listening, token, options)
     session.start()
     try:
-        Server(config).run(sockets=[listening])
+        server.run(sockets=[listening])
     except KeyboardInterrupt:
         # How a viewer is meant to be stopped.
         print()

@@ -67,8 +67,7 @@ class View:
 
     def position(self, aspect: float) -> Floats:
         """The nearest place from which all corners are in a window of this width over height."""
-        right = np.cross(self.up, self.direction)
-        right /= np.linalg.norm(right)
+        right = rightward(self.up, self.direction)
         upward = np.cross(self.direction, right)
         offsets = self.corners - self.look_at
         slope = np.tan(FIELD_OF_VIEW / 2)
@@ -160,6 +159,12 @@ def view_direction(cloud: PointCloud, up: Floats) -> Floats:
     return direction
 
 
+def rightward(up: Floats, direction: Floats) -> Floats:
+    """To the right for one who looks against `direction`, length 1."""
+    right: Floats = np.cross(up, direction)
+    return right / np.linalg.norm(right)
+
+
 def effective_pose(analysis: Analysis, wanted: Pose | None) -> tuple[Pose, Transform]:
     """The pose to draw: the wanted one where it is known, else the best."""
     known: dict[Pose, Transform | None] = {
@@ -181,7 +186,7 @@ def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, plac
     source_colors, target_colors = point_colors(analysis, scores, settings)
     rotation = pose[:3, :3]
     position = (transforms.apply(pose, placed.source_centre[None])[0] - placed.target_centre) * placed.scale
-    right = np.cross(placed.up, placed.direction)
+    right = rightward(placed.up, placed.direction)
     moved = placed.source_points @ rotation.T + position
     if settings.layout == "side_by_side":
         shift = (placed.target_points @ right).min() - GAP * EXTENT - (moved @ right).max()
@@ -207,7 +212,7 @@ def _view(placed: Placed, points: Floats) -> View:
     if len(inside) < 10:
         inside = points
     # The middle of what is seen, not of the box: along the picture's own axes.
-    right = np.cross(placed.up, placed.direction)
+    right = rightward(placed.up, placed.direction)
     axes = np.stack([right, np.cross(placed.direction, right), placed.direction])
     extents = inside @ axes.T
     look_at = (extents.min(axis=0) + extents.max(axis=0)) / 2 @ axes

@@ -167,7 +167,7 @@ def _add_problems(app: FastAPI) -> None:
 def _readable(error: RequestValidationError) -> str:
     """The first of the errors that pydantic found, in one line."""
     first = error.errors()[0]
-    names = [str(part) for part in first["loc"] if part not in ("body", "path", "query")]
+    names = [part for part in first["loc"] if isinstance(part, str) and part not in ("body", "path", "query")]
     where = names[0].replace("_", " ").capitalize() if names else "The request"
-    message = str(first["msg"])
-    return f"{where}: {message[:1].lower()}{message[1:]}."
+    message = str(first["msg"]).replace("Input should", "should").replace("Extra inputs are", "is")
+    return f"{where} {message}." if message[:1].islower() else f"{where}: {message}."

@@ -248,7 +248,7 @@ function renderFigures() {
   const { numbers, estimate, source, target } = state;
   $("precision").textContent = numbers ? percent(numbers.precision) : "–";
   $("precision-label").textContent = numbers
-    ? `right within ${length(numbers.precision_radius)}`
+    ? `within ${length(numbers.precision_radius)}`
     : state.status.phase === "working" ? "waiting for matches" : "no pose to judge by";
   const features = (cloud) => (cloud.features === null ? "–" : count(cloud.features));
   const rows = [
@@ -257,7 +257,7 @@ function renderFigures() {
     ["Median error", numbers ? length(numbers.median_error) : "–"],
     ["Points", `${count(source.points)} → ${count(target.points)}`],
     ["Features", `${features(source)} → ${features(target)}`],
-    [estimate?.rotation_error_deg === null || !estimate ? "Estimate" : "Estimate off by", describeEstimate(estimate)],
+    [estimate?.rotation_error_deg === null || !estimate ? "Estimate" : "Estimate error", describeEstimate(estimate)],
   ];
   $("figures").replaceChildren(...rows.flatMap(([name, value]) => [
     element("dt", { textContent: name }), element("dd", { textContent: value, title: value }),
@@ -319,7 +319,7 @@ function renderCurve(pointer = null) {
   parts.push(vector("line", { class: "mark", x1: x(read), x2: x(read), y1: box.top, y2: box.bottom }));
   parts.push(vector("circle", { cx: x(read), cy: y(share), r: 3.5 }));
   const flip = x(read) > (box.left + box.right) / 2;
-  const text = label(x(read) + (flip ? -7 : 7), y(share) + (y(share) < 28 ? 18 : -7), `${percent(share)} within ${length(read)}`, flip ? "end" : "start");
+  const text = label(x(read) + (flip ? -7 : 7), y(share) + (share < 0.2 ? -9 : 18), `${percent(share)} within ${length(read)}`, flip ? "end" : "start");
   text.setAttribute("class", "value");
   parts.push(text);
   svg.replaceChildren(...parts);

@@ -2,11 +2,15 @@
 
 import asyncio
 import threading
+from typing import TYPE_CHECKING
 
 from starlette.websockets import WebSocket
 
 from app.session import Session
 from app.viewer.server import ViserHost, client_page
+
+if TYPE_CHECKING:
+    import viser
 
 
 class LiveScene:
@@ -31,6 +35,17 @@ class LiveScene:
         """Show the whole scene in every tab."""
         if self._ready.is_set():
             self._view.reset_cameras()
+
+    @property
+    def server(self) -> "viser.ViserServer":
+        """The viser server, once it runs."""
+        self._ready.wait()
+        return self._host.server
+
+    def drawn_clouds(self) -> "dict[str, viser.PointCloudHandle]":
+        """Handles of the clouds drawn so far, by name."""
+        self._ready.wait()
+        return self._view.clouds()
 
     def stop(self) -> None:
         """End the connections and viser's threads, if they ever started."""

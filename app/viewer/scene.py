@@ -47,6 +47,11 @@ class SceneView:
         if moved:
             self.reset_cameras()
 
+    def clouds(self) -> dict[str, viser.PointCloudHandle]:
+        """Handles of the clouds drawn so far, by name."""
+        with self._lock:
+            return dict(self._clouds)
+
     def reset_cameras(self) -> None:
         """Show the whole scene in every tab."""
         for client in self._server.get_clients().values():

@@ -1,0 +1,168 @@
+"""The API without a server: what is typed, what is refused, what is served."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import pytest
+from fastapi import FastAPI, WebSocket
+
+from app.routes import create_app, static_folder
+from app.session import Session
+from app.settings import ViewSettings
+from tests.app.asgi import Answer, request
+from tests.app.scenes import hills, source_of
+
+LONG_S = 120.0
+JSON = {"content-type": "application/json"}
+
+
+@dataclass
+class FakeScene:
+    resets: list[bool] = field(default_factory=list)
+
+    def page(self) -> str:
+        return "<!doctype html><title>scene</title>"
+
+    async def serve(self, socket: WebSocket) -> None:
+        await socket.close()
+
+    def reset_cameras(self) -> None:
+        self.resets.append(True)
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[Session]:
+    session = Session([source_of(hills())], ViewSettings(support_radius=0.8))
+    session.start()
+    assert session.wait_until_idle(LONG_S)
+    yield session
+    session.close()
+
+
+@pytest.fixture(scope="module")
+def scene() -> FakeScene:
+    return FakeScene()
+
+
+@pytest.fixture(scope="module")
+def app(session: Session, scene: FakeScene) -> FastAPI:
+    return create_app(session, scene)
+
+
+def patch(app: FastAPI, body: str) -> Answer:
+    return request(app, "PATCH", "/api/settings", headers=JSON, body=body.encode())
+
+
+def test_the_state_holds_what_the_page_shows(app: FastAPI) -> None:
+    state = request(app, "GET", "/api/state").json()
+    assert state["settled"]
+    assert state["source"]["name"] == "source hills"
+    assert 0 < state["numbers"]["precision"] <= 1
+    assert len(state["legend"]["ramp"]) == 256
+    assert state["controls"]["dims"][-1] >= 32
+
+
+def test_a_change_is_answered_with_the_new_state(app: FastAPI) -> None:
+    answer = patch(app, '{"coloring": "features", "line_count": 7}')
+    assert answer.status == 200
+    assert answer.json()["settings"]["coloring"] == "features"
+    assert answer.json()["settings"]["line_count"] == 7
+    assert request(app, "GET", "/api/state").json()["settings"]["line_count"] == 7
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ('{"line_count": 100000}', "Line count should be less than or equal to 5000."),
+        ('{"max_ratio": 1.5}', "Max ratio should be less than or equal to 1."),
+        ('{"point_size": NaN}', "Point size should be"),
+        ('{"support_radius": -1}', "Support radius should be greater than 0."),
+        ('{"support_radius": 1e400}', "Support radius should be"),
+        ('{"support_radius": 0.0001}', "Support radius must be above the point spacing"),
+        ('{"layout": "stacked"}', "Layout should be 'side_by_side' or 'overlaid'."),
+        ('{"pair": 99}', "pair must be from 0 to 0, got 99"),
+        ('{"no_such_setting": 1}', "No such setting is not permitted."),
+        ("{", "The request: JSON decode error."),
+        ("[]", "The request should be"),
+    ],
+)
+def test_what_cannot_be_set_is_refused_in_one_line(app: FastAPI, body: str, message: str) -> None:
+    before = request(app, "GET", "/api/state").json()
+    answer = patch(app, body)
+    assert answer.status == 422
+    assert answer.json()["message"].startswith(message)
+    assert "\n" not in answer.json()["message"]
+    assert request(app, "GET", "/api/state").json() == before
+
+
+def test_matches_are_downloaded_as_a_file(app: FastAPI, session: Session) -> None:
+    answer = request(app, "GET", "/api/matches.csv")
+    assert answer.body == session.export(".csv")
+    assert answer.headers["content-disposition"] == 'attachment; filename="matches.csv"'
+    assert request(app, "GET", "/api/matches.npz").body[:2] == b"PK"
+
+
+@pytest.mark.parametrize("suffix", ["exe", "csv.npz", ""])
+def test_matches_are_not_written_in_other_formats(app: FastAPI, suffix: str) -> None:
+    assert request(app, "GET", f"/api/matches.{suffix}").status in (404, 422)
+
+
+def test_before_there_are_matches_none_are_exported(scene: FakeScene) -> None:
+    session = Session([source_of(hills())], ViewSettings())
+    answer = request(create_app(session, scene), "GET", "/api/matches.csv")
+    session.close()
+    assert answer.status == 422
+    assert answer.json() == {"message": "There are no matches yet; wait until they are computed."}
+
+
+def test_the_cameras_are_reset_in_every_tab(app: FastAPI, scene: FakeScene) -> None:
+    assert request(app, "POST", "/api/camera/reset").status == 204
+    assert scene.resets == [True]
+
+
+def test_cancelling_is_allowed_at_any_time(app: FastAPI) -> None:
+    assert request(app, "POST", "/api/cancel").status == 204
+
+
+def test_the_api_is_documented_with_its_types(app: FastAPI) -> None:
+    openapi = request(app, "GET", "/api/openapi.json").json()
+    assert {"/api/state", "/api/settings", "/api/events", "/api/matches.{suffix}"} <= set(openapi["paths"])
+    properties = openapi["components"]["schemas"]["SettingsPatch"]["properties"]
+    assert properties["line_count"]["maximum"] == 5000
+    assert "Numbers" in openapi["components"]["schemas"]
+    assert request(app, "GET", "/api/docs").status == 200
+
+
+@pytest.mark.parametrize(
+    "path", ["/", "/static/app.js", "/static/app.css", "/static/icon.svg", "/viewer/", "/api/docs"]
+)
+def test_the_page_and_what_it_loads_are_served(app: FastAPI, path: str) -> None:
+    assert request(app, "GET", path).status == 200
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/static/../app/main.py",
+        "/static/%2e%2e/app/main.py",
+        "/static/..%2fapp%2fmain.py",
+        "/static/....//app/main.py",
+        "/static//etc/passwd",
+        "/static/%2fetc%2fpasswd",
+        "/static/..%5capp%5cmain.py",
+        "/static/",
+        "/app/main.py",
+        "/viewer/../../etc/passwd",
+    ],
+)
+def test_nothing_outside_the_static_folder_is_served(app: FastAPI, path: str) -> None:
+    assert request(app, "GET", path).status in (404, 405)
+
+
+def test_the_page_loads_nothing_from_elsewhere() -> None:
+    for path in static_folder().iterdir():
+        text = path.read_text(encoding="utf-8").replace("http://www.w3.org/", "")
+        assert "http://" not in text, path
+        assert "https://" not in text, path
+        assert "style=" not in text, path
+        assert path.suffix != ".html" or "<script>" not in text, path
