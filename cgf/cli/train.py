@@ -1,0 +1,90 @@
+"""The command `cgf train`: weights from somebody's own meshes or scans."""
+
+import argparse
+import shlex
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any
+
+from cgf.cli.common import note, progress_bar
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options of `cgf train`; what they mean and their defaults are those of `TrainSettings`."""
+    data = parser.add_argument_group("data (one of the two)")
+    data.add_argument("--meshes", type=Path, metavar="FOLDER", help="meshes, of which range images are rendered")
+    data.add_argument(
+        "--scenes",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="scenes, each with fragments cloud_bin_N.ply and a gt.log of their relative poses",
+    )
+    data.add_argument("--view-sets", type=int, metavar="N", help="sets of 14 range images a mesh, each turned anew")
+    data.add_argument("--noise", type=float, nargs=2, metavar=("LOW", "HIGH"), help="of range images, in diameters")
+    data.add_argument("--voxel-sizes", type=float, nargs="+", metavar="V", help="densities of scenes, in metres")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="NAME.safetensors", help="weights to write")
+    parser.add_argument(
+        "--model",
+        choices=("object", "indoor"),
+        help="lengths as shares of the diameter, or in metres (default: object)",
+    )
+    recipe = parser.add_argument_group("recipe")
+    recipe.add_argument(
+        "--recipe",
+        choices=("contrastive", "paper", "pca"),
+        help="ours; triplets as published; or principal components (default: contrastive)",
+    )
+    recipe.add_argument("--dims", type=int, nargs="+", metavar="N", help="widths; paper and pca take the last alone")
+    recipe.add_argument("--steps", type=int, metavar="N", help="minibatches (default: 6000, or 3 epochs for paper)")
+    recipe.add_argument("--batch", type=int, metavar="N", help="correspondences or triplets a minibatch")
+    recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")
+    recipe.add_argument("--learning-rate", type=float, metavar="X", help="default: 1e-3, or 1e-4 for paper")
+    recipe.add_argument("--temperature", type=float, metavar="X", help="of the contrastive loss")
+    recipe.add_argument("--seed", type=int, metavar="N", help="same seed and threads, same weights (default: 1)")
+    machine = parser.add_argument_group("machine")
+    machine.add_argument("--precision", choices=("bfloat16", "float32"), help="bfloat16 is quick where there is AMX")
+    machine.add_argument("--threads", type=int, metavar="N", help="of torch (default: 1)")
+    machine.add_argument("--checkpoint-every", type=int, metavar="N", help="minibatches between checkpoints")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Train, or go on with a run that was cut off."""
+    from cgf.checks import InputError
+    from cgf.training.settings import TrainSettings
+
+    given: dict[str, Any] = {}
+    for item in fields(TrainSettings):
+        value = getattr(options, item.name)
+        if value is not None:
+            given[item.name] = tuple(value) if isinstance(value, list) else value
+        elif item.default is MISSING:
+            raise InputError(f"--{item.name} must be given")
+    settings = TrainSettings(**given)
+    if not settings.output.parent.is_dir():
+        raise InputError(f"{settings.output} cannot be written: there is no folder {settings.output.parent}; create it")
+    try:
+        from cgf.training import recipes
+    except ModuleNotFoundError as error:
+        raise InputError(f"training needs {error.name}: pip install 'cgf-viewer[train]'") from error
+    with progress_bar(options) as progress:
+        network = recipes.run(settings, command=_command(given), progress=progress or _silent)
+    note(options, f"Wrote {settings.output} and its card, {settings.output.with_suffix('.json')}")
+    note(options, f"Trained on {network.card.training['clouds']:,} clouds: {network.card.data}")
+    return 0
+
+
+def _command(given: dict[str, Any]) -> str:
+    """The command that makes these weights again, with names of folders instead of paths."""
+    words = ["cgf", "train"]
+    for name, value in given.items():
+        words.append(f"--{name.replace('_', '-')}")
+        parts = value if isinstance(value, tuple) else (value,)
+        words.extend(part.name if isinstance(part, Path) else str(part) for part in parts)
+    if "seed" not in given:
+        words += ["--seed", "1"]
+    return shlex.join(words)
+
+
+def _silent(share: float, text: str) -> None:
+    """Progress that nobody sees."""
