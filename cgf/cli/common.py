@@ -9,6 +9,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ def add_feature_options(parser: argparse.ArgumentParser) -> None:
     """Options for what is computed on clouds; `feature_settings` reads them. What is not given stays None."""
     group = parser.add_argument_group("features (lengths in the unit of the clouds)")
     group.add_argument("--model", choices=("auto", "object", "indoor"), help="weights and defaults (default: auto)")
+    group.add_argument("--weights", type=Path, metavar="FILE", help="own weights for cgf, written by cgf train")
     group.add_argument("--descriptor", metavar="NAME", help="cgf, fpfh or pca (default: cgf)")
     group.add_argument("--dim", type=int, metavar="N", help="values of a feature (default: 32)")
     group.add_argument("--radius", type=float, metavar="R", help="radius of the neighbourhood described")
@@ -108,7 +110,7 @@ def feature_settings(options: argparse.Namespace) -> "PairSettings":
     fields = {
         "model": "model", "descriptor": "descriptor", "dim": "dim", "radius": "support_radius",
         "min_radius": "min_radius", "lrf_radius": "lrf_radius", "voxel": "voxel_size", "mutual": "mutual",
-        "ratio": "max_ratio", "seed": "seed",
+        "ratio": "max_ratio", "weights": "weights", "seed": "seed",
     }  # fmt: skip
     given = {field: getattr(options, option, None) for option, field in fields.items()}
     return PairSettings(**{field: value for field, value in given.items() if value is not None})

@@ -33,6 +33,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME-DIM",
         help=f"what to compare (default: {' '.join(_DESCRIPTORS)})",
     )
+    parser.add_argument("--model", choices=("auto", "object", "indoor"), default="auto", help="for all (default: auto)")
+    parser.add_argument("--weights", type=Path, metavar="FILE", help="own weights for cgf, written by cgf train")
     parser.add_argument("--log", default="gt.log", metavar="NAME", help="name of the pose log (default: gt.log)")
     parser.add_argument(
         "--pairs", type=int, metavar="N", help="at most that many pairs of each data set, spread evenly (default: all)"
@@ -44,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """Print a table for every data set."""
     from cgf.checks import InputError
 
-    choices = [_choice(name) for name in options.descriptors]
+    choices = [_choice(name, options) for name in options.descriptors]
     if options.pairs is not None and options.pairs < 1:
         raise InputError(f"--pairs must be 1 or more, got {options.pairs}")
     from cgf.evaluation.benchmark import evaluate, summarise
@@ -65,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _choice(name: str) -> "PairSettings":
+def _choice(name: str, options: argparse.Namespace) -> "PairSettings":
     """`cgf-16` is descriptor cgf in 16 dimensions."""
     from cgf.checks import InputError
     from cgf.pipeline import PairSettings
@@ -73,7 +75,8 @@ def _choice(name: str) -> "PairSettings":
     descriptor, _, dim = name.partition("-")
     if dim and not dim.isdecimal():
         raise InputError(f"--descriptors must be names such as cgf-32 or fpfh, got {name}")
-    return PairSettings(descriptor=descriptor, dim=int(dim) if dim else None)
+    weights = options.weights if descriptor == "cgf" else None
+    return PairSettings(model=options.model, descriptor=descriptor, dim=int(dim) if dim else None, weights=weights)
 
 
 def _pairs(data: str, *, log: str, limit: int | None) -> "tuple[int, Iterable[Pair]]":

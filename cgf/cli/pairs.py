@@ -50,7 +50,7 @@ def describe(options: argparse.Namespace) -> int:
         "normals": described.normals,
         "indices": features.indices,
         "features": features.vectors,
-        "settings": json.dumps(asdict(settings)),
+        "settings": json.dumps(asdict(settings), default=str),
     }
     write_whole(options.output, lambda file: np.savez_compressed(file, **arrays))
     note(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -37,25 +38,25 @@ def make_descriptor(name: str, settings: DescriptorSettings) -> Descriptor:
     """
     if name not in _MAKERS:
         raise ValueError(f"descriptor must be one of {', '.join(_MAKERS)}, got {name}")
-    choices = dimensions(name, settings.model)
+    choices = dimensions(name, settings.model, weights=settings.weights)
     if settings.dim not in choices:
         listed = ", ".join(str(choice) for choice in choices)
         raise ValueError(f"dim must be one of {listed} for descriptor {name}, got {settings.dim}; choose one of them")
     return _MAKERS[name](settings)
 
 
-def dimensions(name: str, model: ModelName) -> tuple[int, ...]:
+def dimensions(name: str, model: ModelName, *, weights: Path | None = None) -> tuple[int, ...]:
     """Numbers of dimensions that a descriptor offers, ascending.
 
     Raises:
-        ValueError: There is no descriptor `name`.
+        ValueError: There is no descriptor `name`, or its weights cannot be used.
     """
     if name == "fpfh":
         return (33,)
     if name in {"cgf", "pca"}:
-        from cgf.descriptors.cgf import load_network
+        from cgf.descriptors.network import load_network
 
-        dims = load_network(name, model).card.dims
+        dims = load_network(name, model, weights).card.dims
         return dims if name in NESTED else tuple(dim for dim in (8, 16, 24, 32) if dim <= dims[-1])
     raise ValueError(f"descriptor must be one of {', '.join(_MAKERS)}, got {name}")
 

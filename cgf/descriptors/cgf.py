@@ -1,13 +1,11 @@
 """Features from spherical histograms: the learned CGF, and their principal components."""
 
-from functools import lru_cache
-
 import numpy as np
 from jaxtyping import Float32, Int64
 from threadpoolctl import threadpool_limits
 
-from cgf.descriptors.network import Network, read_network, shipped_weights, unit_rows
-from cgf.descriptors.settings import DescriptorSettings, ModelName
+from cgf.descriptors.network import Network, load_network, unit_rows
+from cgf.descriptors.settings import DescriptorSettings
 from cgf.descriptors.spherical_histogram import histogram_grid
 from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.parallel import for_each_block
@@ -17,23 +15,13 @@ _BLOCK = 256
 """Points described at a time by one thread; what the network computes for them stays in the processor's cache."""
 
 
-@lru_cache(maxsize=8)
-def load_network(name: str, model: ModelName) -> Network:
-    """Weights that come with the package, e.g. `cgf` trained on `object`.
-
-    Raises:
-        ValueError: There are none, or they contradict their card.
-    """
-    return read_network(shipped_weights(f"{name}-{model}"))
-
-
 class HistogramDescriptor:
     """Frame, histogram and network for each point; `name` is `cgf` or `pca`."""
 
     def __init__(self, name: str, settings: DescriptorSettings, *, network: Network | None = None) -> None:
         self._name = name
         self.settings = settings
-        self.network = load_network(name, settings.model) if network is None else network
+        self.network = load_network(name, settings.model, settings.weights) if network is None else network
         if settings.dim > self.network.card.dims[-1]:
             raise ValueError(f"dim must be {self.network.card.dims[-1]} or less, got {settings.dim}")
 

@@ -5,7 +5,8 @@ Inference needs no torch: importing it takes seconds, and these are a few matrix
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -14,8 +15,14 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float32
 
-from cgf.descriptors.settings import FrameKind, ModelName
-from cgf.descriptors.spherical_histogram import AZIMUTH_BINS, HISTOGRAM_BINS
+from cgf.descriptors.settings import (
+    AZIMUTH_BINS,
+    HISTOGRAM_BINS,
+    MODEL_DEFAULTS,
+    FrameKind,
+    ModelDefaults,
+    ModelName,
+)
 
 NetworkKind = Literal["azimuth", "paper", "pca"]
 Weights = dict[str, Float32[np.ndarray, "..."]]
@@ -46,6 +53,16 @@ class NetworkCard:
     seed: int = 0
     scores: dict[str, float] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
+
+    def defaults(self) -> ModelDefaults:
+        """The model's defaults, with the lengths that these weights were trained with."""
+        return replace(
+            MODEL_DEFAULTS[self.model],
+            voxel_size=self.voxel_sizes[0],
+            support_radius=self.support_radius,
+            min_radius=self.min_radius,
+            lrf_radius=self.lrf_radius,
+        )
 
     def to_json(self) -> str:
         return json.dumps(asdict(self), indent=2) + "\n"
@@ -191,3 +208,20 @@ def write_network(path: Path, network: Network) -> None:
 def shipped_weights(name: str) -> Path:
     """Path of weights that come with the package, e.g. `cgf-object`."""
     return Path(str(resources.files("cgf.descriptors") / "weights" / f"{name}.safetensors"))
+
+
+@lru_cache(maxsize=8)
+def load_network(name: str, model: ModelName, weights: Path | None = None) -> Network:
+    """Weights that come with the package, e.g. `cgf` trained on `object`; or others, for `cgf`.
+
+    Raises:
+        ValueError: There are none, or they contradict their card or what is asked of them.
+    """
+    if weights is None:
+        return read_network(shipped_weights(f"{name}-{model}"))
+    network = read_network(weights)
+    if name != "cgf":
+        raise ValueError(f"weights must be for descriptor cgf, got {weights} for descriptor {name}")
+    if network.card.model != model:
+        raise ValueError(f"weights must be trained for model {model}, got {network.card.model} from {weights}")
+    return network

@@ -1,10 +1,17 @@
 """What a descriptor is computed with; the only place where the defaults of the two models live."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 ModelName = Literal["object", "indoor"]
 FrameKind = Literal["normal", "paper"]
+
+RADIAL_BINS = 17
+ELEVATION_BINS = 11
+AZIMUTH_BINS = 12
+HISTOGRAM_BINS = RADIAL_BINS * ELEVATION_BINS * AZIMUTH_BINS
+"""2,244 bins, radial fastest, azimuth slowest: the sizes validated in the paper, which the kernel is written for."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +28,8 @@ class DescriptorSettings:
     """Number of values a feature has, where the descriptor lets one choose."""
     model: ModelName = "object"
     """Which weights: trained on single objects or on rooms."""
+    weights: Path | None = None
+    """Of the descriptor `cgf`, in place of those that come with the package."""
 
     def __post_init__(self) -> None:
         for name in ("support_radius", "min_radius", "lrf_radius"):

@@ -7,14 +7,9 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from numba import njit
 
+from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
 from cgf.geometry.parallel import for_each_block
-
-RADIAL_BINS = 17
-ELEVATION_BINS = 11
-AZIMUTH_BINS = 12
-HISTOGRAM_BINS = RADIAL_BINS * ELEVATION_BINS * AZIMUTH_BINS
-"""2,244 bins, radial fastest, azimuth slowest: the sizes validated in the paper, which the kernel is written for."""
 
 _BLOCK = 64
 _TABLE_SIZE = 1024

@@ -1,6 +1,7 @@
 """What a person chooses, and every value that follows from it for two clouds."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 from weakref import WeakKeyDictionary
 
@@ -8,6 +9,7 @@ import numpy as np
 
 from cgf import descriptors
 from cgf.checks import InputError
+from cgf.descriptors.network import NetworkCard, read_network
 from cgf.descriptors.settings import MODEL_DEFAULTS, ModelDefaults, ModelName
 from cgf.types import PointCloud
 
@@ -45,6 +47,8 @@ class PairSettings:
     """Keep only matches at most this share of the second nearest's distance away."""
     seed: int = 0
     """Of the registration's random samples."""
+    weights: Path | None = None
+    """Of the descriptor `cgf`, written by `cgf train`; None takes those that come with the package."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +87,7 @@ class ResolvedSettings:
     mutual: bool
     max_ratio: float | None
     seed: int
+    weights: Path | None
 
     @property
     def model(self) -> ModelName:
@@ -98,7 +103,7 @@ class ResolvedSettings:
     def description_key(self) -> tuple[object, ...]:
         """All that `describe` depends on besides the raw cloud."""
         lengths = (self.support_radius, self.min_radius, self.lrf_radius)
-        return (*self.preparation_key, self.descriptor, self.model, self.computed_dim, *lengths)
+        return (*self.preparation_key, self.descriptor, self.model, self.weights, self.computed_dim, *lengths)
 
     @property
     def match_key(self) -> tuple[object, ...]:
@@ -142,9 +147,10 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
     Raises:
         InputError: A setting cannot be used; the text names the option, the value and one that works.
     """
-    choice = choose_model(source, target, settings.model)
+    card = None if settings.weights is None else _card(settings)
+    choice = choose_model(source, target, settings.model if card is None else card.model)
     diameter = max(source.diameter, target.diameter)
-    defaults = MODEL_DEFAULTS[choice.name].scaled(diameter)
+    defaults = (MODEL_DEFAULTS[choice.name] if card is None else card.defaults()).scaled(diameter)
     dim, computed_dim = _dimensions(settings, choice.name)
     voxel_size = _voxel_size(settings.voxel_size, defaults)
     points_apart = max(_spacing(source), _spacing(target))
@@ -194,6 +200,7 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
         mutual=settings.mutual,
         max_ratio=settings.max_ratio,
         seed=settings.seed,
+        weights=settings.weights,
     )
 
 
@@ -209,11 +216,25 @@ def _spacing(cloud: PointCloud) -> float:
     return _SPACINGS[cloud]
 
 
+def _card(settings: PairSettings) -> NetworkCard:
+    """What the user's own weights were trained with, which their defaults follow."""
+    assert settings.weights is not None
+    if settings.descriptor != "cgf":
+        raise InputError(f"--weights must go with --descriptor cgf, got {settings.descriptor}")
+    try:
+        card = read_network(settings.weights).card
+    except ValueError as error:
+        raise InputError(f"--weights: {error}") from error
+    if settings.model not in ("auto", card.model):
+        raise InputError(f"--model must fit --weights, which are for {card.model}, got {settings.model}; leave it out")
+    return card
+
+
 def _dimensions(settings: PairSettings, model: ModelName) -> tuple[int, int]:
     """The dimension asked for, and the one to compute."""
     if settings.descriptor not in descriptors.available():
         raise InputError(f"--descriptor must be one of {', '.join(descriptors.available())}, got {settings.descriptor}")
-    choices = descriptors.dimensions(settings.descriptor, model)
+    choices = descriptors.dimensions(settings.descriptor, model, weights=settings.weights)
     dim = settings.dim
     if dim is None:
         dim = 32 if 32 in choices else choices[-1]

@@ -131,6 +131,7 @@ def describe(
             lrf_radius=settings.lrf_radius,
             dim=settings.computed_dim,
             model=settings.model,
+            weights=settings.weights,
         ),
     )
     indices = np.arange(len(cloud), dtype=np.int64)

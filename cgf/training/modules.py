@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from cgf.descriptors.network import COLUMN_BINS, INPUT_GAIN
-from cgf.descriptors.spherical_histogram import AZIMUTH_BINS, HISTOGRAM_BINS
+from cgf.descriptors.settings import AZIMUTH_BINS, HISTOGRAM_BINS
 
 
 class AzimuthNetwork(nn.Module):

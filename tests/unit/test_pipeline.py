@@ -57,7 +57,7 @@ class Coordinates:
 
 @pytest.fixture
 def learned(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(descriptors, "dimensions", lambda *_: (8, 16, 32, 64))
+    monkeypatch.setattr(descriptors, "dimensions", lambda *_, **__: (8, 16, 32, 64))
     monkeypatch.setattr(descriptors, "make_descriptor", lambda _, settings: Coordinates(settings))
 
 
