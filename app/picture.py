@@ -36,7 +36,7 @@ POINT_RADIUS = 0.75
 GAP = 0.06
 """Between clouds side by side, as a share of `EXTENT`."""
 _UP_TOLERANCE = np.cos(np.radians(50.0))
-_FRAMED = 97.0
+_FRAMED = 99.5
 """Percentile of points that the first view holds: a few strays shall not make everything small."""
 
 Floats = npt.NDArray[np.float64]
