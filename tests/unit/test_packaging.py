@@ -83,12 +83,18 @@ def imported_distributions() -> set[str]:
                     names.add(node.module.split(".")[0])
                 elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
                     names.update(argument.value for argument in node.args if isinstance(argument, ast.Constant))
-    distributions = metadata.packages_distributions()
     third_party = names - sys.stdlib_module_names - {"app", "cgf"}
-    # Modules that several distributions share are of the one that carries their name.
+    return {owner for name in third_party for owner in owners(name)}
+
+
+def owners(module: str) -> set[str]:
+    """Distributions whose files include the top-level `module`."""
+    # `importlib.metadata.packages_distributions` misses those without a top_level.txt in Python 3.10.
+    tops = {module, f"{module}.py"}
     return {
-        canonicalize_name(name if name in distributions.get(name, ()) else distributions.get(name, [name])[0])
-        for name in third_party
+        canonicalize_name(distribution.metadata["Name"])
+        for distribution in metadata.distributions()
+        if any(file.parts[0] in tops for file in distribution.files or ())
     }
 
 
