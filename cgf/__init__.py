@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from cgf.geometry.lrf import estimate_lrf
     from cgf.geometry.normals import estimate_normals
     from cgf.geometry.sampling import voxel_downsample
+    from cgf.geometry.transforms import invert, move
     from cgf.io import read_cloud, read_transform, write_cloud, write_transform
     from cgf.matching import MatchTable, filter_rows, match
     from cgf.pipeline import (
@@ -63,6 +64,7 @@ _MODULES = {
     "geometry.lrf": ("estimate_lrf",),
     "geometry.normals": ("estimate_normals",),
     "geometry.sampling": ("voxel_downsample",),
+    "geometry.transforms": ("invert", "move"),
     "io": ("read_cloud", "read_transform", "write_cloud", "write_transform"),
     "matching": ("MatchTable", "filter_rows", "match"),
     "pipeline": (
@@ -114,6 +116,7 @@ __all__ = [
     "export_matches",
     "filter_rows",
     "has_partner",
+    "invert",
     "load_demo",
     "load_pair",
     "make_descriptor",
@@ -121,6 +124,7 @@ __all__ = [
     "match",
     "match_errors",
     "match_features",
+    "move",
     "precision",
     "precision_curve",
     "prepare",
