@@ -198,7 +198,6 @@ def _read_estimate(options: argparse.Namespace) -> "Transform | None":
 def _import_server() -> None:
     import fastapi  # noqa: F401 - only to have it loaded
     import uvicorn  # noqa: F401
-    import viser  # noqa: F401
 
 
 def make_server(app: "ASGIApp", *, debug: bool) -> "uvicorn.Server":

@@ -324,7 +324,7 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings)
         points = "Points: own colours"
         for side, cloud, tint in (("source", analysis.source, SOURCE_TINT), ("target", analysis.target, TARGET_TINT)):
             if cloud.colors is None or not are_colors_usable(cloud.colors):
-                points = "Points: shaded, as no colours came with them"
+                points = "Points: shaded"
                 swatches.append(Swatch(_hex(_facing(tint)), side))
     if scores is None:
         return Legend(coloring, points, (), None, tuple(swatches))

@@ -227,21 +227,33 @@ function renderLegend() {
       context.fillStyle = color;
       context.fillRect(column, 0, 1, 1);
     });
-    const { values, unit, size } = ticks(legend.scale);
-    const inner = values.filter((value) => value * size < 0.8 * legend.scale);
-    const marks = inner.map((value) => [value * size, significant(value, 3)]);
-    marks.push([legend.scale, `≥ ${significant(legend.scale / size, 3)} ${unit}`]);
+    const { values, size } = ticks(legend.scale);
+    const marks = values.filter((value) => value * size < legend.scale).map((value) => [value * size, significant(value, 3)]);
+    marks.push([legend.scale, `≥ ${length(legend.scale)}`]);
     $("ramp-ticks").replaceChildren(...marks.map(([value, text]) => {
       const tick = element("span", { textContent: text });
       tick.style.left = `${(100 * value) / legend.scale}%`;
       return tick;
     }));
+    thinTicks();
   }
   $("swatches").replaceChildren(...legend.swatches.map(({ color, label }) => {
     const dot = element("i");
     dot.style.background = color;
     return element("li", { title: label }, dot, label);
   }));
+}
+
+/** Drop the labels that the last one, or the one before, leaves no room for. */
+function thinTicks() {
+  const ticks = [...$("ramp-ticks").children];
+  const last = ticks.pop();
+  let end = -Infinity;
+  for (const tick of ticks) {
+    const { left, right } = tick.getBoundingClientRect();
+    if (left < end || right + 8 > last.getBoundingClientRect().left) tick.remove();
+    else end = right + 8;
+  }
 }
 
 function renderFigures() {
@@ -318,11 +330,12 @@ function renderCurve(pointer = null) {
   const share = interpolate(shown, read);
   parts.push(vector("line", { class: "mark", x1: x(read), x2: x(read), y1: box.top, y2: box.bottom }));
   parts.push(vector("circle", { cx: x(read), cy: y(share), r: 3.5 }));
-  const flip = x(read) > (box.left + box.right) / 2;
-  const text = label(x(read) + (flip ? -7 : 7), y(share) + (share < 0.2 ? -9 : 18), `${percent(share)} within ${length(read)}`, flip ? "end" : "start");
+  const text = label(x(read) + 7, y(share) + (share < 0.2 ? -9 : 18), `${percent(share)} within ${length(read)}`, "start");
   text.setAttribute("class", "value");
   parts.push(text);
   svg.replaceChildren(...parts);
+  const over = text.getBBox().x + text.getBBox().width - box.right;
+  if (over > 0) text.setAttribute("x", x(read) + 7 - over);
 }
 
 /** Round values along the error axis, in the unit that suits its length. */
@@ -424,7 +437,11 @@ function listen() {
   });
   $("curve").addEventListener("pointermove", (event) => state?.curve && renderCurve(event.offsetX));
   $("curve").addEventListener("pointerleave", () => state?.curve && renderCurve());
-  new ResizeObserver(() => state?.controls && renderCurve()).observe($("curve"));
+  new ResizeObserver(() => {
+    if (!state?.controls) return;
+    renderCurve();
+    renderLegend();
+  }).observe($("curve"));
 }
 
 function typed(name, input) {
