@@ -10,7 +10,7 @@ import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from app.ports import DEFAULT_PORT, listen_socket
 from cgf import cli
@@ -91,7 +91,7 @@ def view(options: argparse.Namespace) -> int:
         if note:
             cli.note(options, note)
         warming.join()
-        return _serve(session, listening, options)
+        _serve(session, listening, options)
 
 
 def open_session(options: argparse.Namespace) -> "Session":
@@ -224,7 +224,7 @@ def make_server(app: "ASGIApp", *, debug: bool) -> "uvicorn.Server":
     return Server(config)
 
 
-def _serve(session: "Session", listening: socket.socket, options: argparse.Namespace) -> int:
+def _serve(session: "Session", listening: socket.socket, options: argparse.Namespace) -> NoReturn:
     from app.guard import Guard, new_token
     from app.routes import create_app
     from app.viewer.live import LiveScene
@@ -243,15 +243,22 @@ def _serve(session: "Session", listening: socket.socket, options: argparse.Names
     finally:
         session.close()
         scene.stop()
-    return 0
+    # Python would wait for threads in the middle of a computation that nobody wants any more.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def _announce(listening: socket.socket, token: str, options: argparse.Namespace) -> None:
     """Print the URL, and open it where there is a screen to open it on."""
+    from app.guard import LOOPBACK_NAMES
+
     port = listening.getsockname()[1]
     host = DEFAULT_HOST if options.host in ("0.0.0.0", "::", "localhost") else options.host
     url = f"http://{f'[{host}]' if ':' in host else host}:{port}/{token}/"
     print(f"cgf-viewer: {url}  (Ctrl-C stops it)", flush=True)
+    if options.host not in LOOPBACK_NAMES:
+        cli.note(options, "Other machines that know this URL can use it, with this machine's name or address in it.")
     if options.no_browser:
         return
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

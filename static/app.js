@@ -4,7 +4,7 @@
 const $ = (id) => document.getElementById(id);
 const LENGTHS = ["support_radius", "lrf_radius", "voxel_size", "error_scale"];
 const DEFAULTS = {
-  dim: null, support_radius: null, lrf_radius: null, voxel_size: null, mutual: false, max_ratio: null, line_count: 300,
+  descriptor: "cgf", dim: null, support_radius: null, lrf_radius: null, voxel_size: null, mutual: false, max_ratio: null, line_count: 300,
   line_choice: "stratified", error_scale: null, point_size: 1, layout: "side_by_side", pose: null, reference: null,
   coloring: "error",
 };
@@ -19,31 +19,37 @@ let curveBefore = null;
 
 // One request at a time: while one is under way, later changes gather and go together.
 let waiting = null;
-let sending = false;
+let underWay = null;
 
 function change(settings) {
   waiting = { ...waiting, ...settings };
-  if (!sending) send();
+  if (!underWay) send();
 }
 
+/** What was chosen, though the server may not know it yet: a control never jumps back meanwhile. */
+const chosen = () => ({ ...state.settings, ...underWay, ...waiting });
+
+const pending = (name) => ({ ...underWay, ...waiting })[name];
+
 async function send() {
-  sending = true;
   while (waiting) {
-    const body = JSON.stringify(waiting);
+    underWay = waiting;
     waiting = null;
+    const body = JSON.stringify(underWay);
     try {
       const answer = await fetch("api/settings", {
         method: "PATCH", headers: { "Content-Type": "application/json" }, body,
       });
       const content = await answer.json();
+      underWay = null;
       refusal = answer.ok ? null : content.message;
       if (answer.ok) show(content);
       else render();
     } catch {
+      underWay = null;
       offline();
     }
   }
-  sending = false;
 }
 
 function connect() {
@@ -99,7 +105,7 @@ const field = () => (isRelative() ? { name: "% ⌀", size: state.unit.diameter /
 const toSlider = (value, { low, high }) => Math.round((1000 * Math.log(value / low)) / Math.log(high / low));
 const fromSlider = (position, { low, high }) => Number((low * (high / low) ** (position / 1000)).toPrecision(3));
 
-const lengthOf = (name) => state.settings[name] ?? state.controls[name].default;
+const lengthOf = (name) => chosen()[name] ?? state.controls[name].default;
 
 // ---------------------------------------------------------------- drawing the page
 
@@ -120,27 +126,33 @@ function renderStatus() {
   const { phase, text, progress, elapsed_s } = state.status;
   $("status").dataset.phase = phase;
   const working = phase === "working";
-  $("status-text").textContent = working && progress > 0 ? `${text} · ${Math.round(100 * progress)} %`
-    : phase === "ready" && elapsed_s !== null ? `${text} · ${elapsed_s.toFixed(2)} s` : text;
+  // Only the text is read aloud.
+  $("status-text").textContent = text;
+  $("status-share").textContent = working && progress > 0 ? `${Math.round(100 * progress)} %`
+    : phase === "ready" && elapsed_s !== null ? `${elapsed_s.toFixed(2)} s` : "";
   $("cancel").hidden = !working;
   $("progress").style.width = `${100 * (working ? progress : 1)}%`;
   $("progress").classList.toggle("done", !working);
 }
 
 function renderNotices() {
-  const messages = [...state.messages];
-  if (refusal) messages.unshift({ level: "error", text: `${refusal} Nothing was changed.` });
-  const shown = messages.filter(({ text }) => !dismissed.has(text));
-  $("notices").replaceChildren(...shown.map(({ level, text }) => {
-    const notice = element("div", { className: "notice" }, element("p", { textContent: text }));
-    notice.dataset.level = level;
-    const close = element("button", { type: "button", textContent: "✕", ariaLabel: "Close this message" });
-    close.onclick = () => {
-      if (text.startsWith(refusal ?? "\0")) refusal = null;
-      else dismissed.add(text);
+  // An error may happen again, so closing it is for this time only.
+  const messages = state.messages.map(({ level, text }) => {
+    const key = level === "error" ? `${state.revision} ${text}` : text;
+    return { level, text, key, close: () => dismissed.add(key) };
+  });
+  if (refusal) {
+    const text = `${refusal.replace(/\.?$/, ".")} Nothing was changed.`;
+    messages.unshift({ level: "error", text, key: null, close: () => { refusal = null; } });
+  }
+  $("notices").replaceChildren(...messages.filter(({ key }) => !dismissed.has(key)).map(({ level, text, close }) => {
+    const button = element("button", { type: "button", textContent: "✕", ariaLabel: "Close this message" });
+    button.onclick = () => {
+      close();
       renderNotices();
     };
-    notice.append(close);
+    const notice = element("div", { className: "notice" }, element("p", { textContent: text }), button);
+    notice.dataset.level = level;
     return notice;
   }));
 }
@@ -153,7 +165,10 @@ function renderPair() {
     options($("pair"), state.pairs.map((name, index) => [String(index), name]));
     $("pair").value = String(state.settings.pair);
   }
-  if (!state.source) return;
+  if (!state.source) {
+    $("pair-names").textContent = state.pairs[state.settings.pair];
+    return;
+  }
   const arrow = element("span", { className: "arrow", textContent: "→" });
   $("pair-names").replaceChildren(state.source.name, arrow, state.target.name);
   document.title = `${state.source.name} → ${state.target.name} · cgf-viewer`;
@@ -167,9 +182,12 @@ function renderPair() {
 }
 
 function renderControls() {
-  const { settings, controls } = state;
+  const { controls } = state;
+  const settings = chosen();
+  // Where nothing was chosen, the server says what it took.
   const current = {
-    coloring: settings.coloring, layout: settings.layout, pose: state.pose, reference: state.reference,
+    coloring: settings.coloring, layout: settings.layout,
+    pose: pending("pose") ?? state.pose, reference: pending("reference") ?? state.reference,
   };
   for (const group of document.querySelectorAll("[data-setting]")) {
     const name = group.dataset.setting;
@@ -181,7 +199,7 @@ function renderControls() {
   }
   options($("descriptor"), controls.descriptors.map((name) => [name, name.toUpperCase()]));
   setUnlessBusy($("descriptor"), settings.descriptor);
-  renderDims(controls);
+  renderDims({ dims: controls.dims, dim: pending("dim") ?? controls.dim });
   for (const name of LENGTHS) {
     const { size, name: unit } = field();
     const slider = $(name);
@@ -431,9 +449,14 @@ function listen() {
   $("cancel").addEventListener("click", () => fetch("api/cancel", { method: "POST" }));
   $("defaults").addEventListener("click", () => change({ ...DEFAULTS }));
   $("copy").addEventListener("click", async () => {
-    await navigator.clipboard.writeText(state.command);
-    $("copy").textContent = "Copied";
-    setTimeout(() => { $("copy").textContent = "Copy command"; }, 1500);
+    try {
+      await navigator.clipboard.writeText(state.command);
+      $("copy").textContent = "Copied";
+      setTimeout(() => { $("copy").textContent = "Copy command"; }, 1500);
+    } catch {
+      // Browsers allow the clipboard on this machine or over https only.
+      window.prompt("The command:", state.command);
+    }
   });
   $("curve").addEventListener("pointermove", (event) => state?.curve && renderCurve(event.offsetX));
   $("curve").addEventListener("pointerleave", () => state?.curve && renderCurve());

@@ -194,3 +194,16 @@ def test_it_ends_on_sigterm_too(start: Callable[..., tuple["subprocess.Popen[str
     process.terminate()
     process.communicate(timeout=LONG_S)
     assert process.returncode in (0, -signal.SIGTERM)
+
+
+def test_a_pose_found_elsewhere_is_the_estimate(files: Path) -> None:
+    arguments = [f"{files}/a.ply", f"{files}/b.ply", "--estimate", f"{files}/gt.txt", "--radius", "0.8"]
+    session = open_session(parser().parse_args(arguments))
+    session.start()
+    assert session.wait_until_idle(LONG_S)
+    snapshot = session.snapshot()
+    session.close()
+    assert snapshot.reference == "estimate"
+    assert snapshot.estimate is not None
+    assert snapshot.estimate.given
+    assert snapshot.command.startswith(f"cgf match {files}/a.ply {files}/b.ply --descriptor cgf --radius 0.8")

@@ -182,7 +182,7 @@ def test_both_clouds_and_their_matches_are_drawn(viewer: Viewer) -> None:
 def test_the_numbers_on_the_page_are_those_of_the_api(viewer: Viewer) -> None:
     state = viewer.settle()
     expect(viewer.page.locator("#precision")).to_have_text(f"{100 * state['numbers']['precision']:.1f} %")
-    expect(viewer.page.locator("#status-text")).to_contain_text("Ready")
+    expect(viewer.page.locator("#status-text")).to_have_text("Ready")
     expect(viewer.page.locator("#model")).to_have_text(state["model"]["reason"])
     right = viewer.page.locator("#funnel li").last
     expect(right).to_contain_text(f"{state['numbers']['right']:,}")
