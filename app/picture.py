@@ -36,7 +36,9 @@ POINT_RADIUS = 0.75
 GAP = 0.06
 """Between clouds side by side, as a share of `EXTENT`."""
 _UP_TOLERANCE = np.cos(np.radians(50.0))
-_FRAMED = 99.5
+_MARGIN = 1.05
+_CENTRING_STEPS = 6
+_FRAMED = 99.9
 """Percentile of points that the first view holds: a few strays shall not make everything small."""
 
 Floats = npt.NDArray[np.float64]
@@ -58,23 +60,32 @@ class CloudPicture:
 class View:
     """Where the scene is seen from at first."""
 
-    look_at: Floats
     direction: Floats
     """From the scene to the camera, length 1."""
     up: Floats
     corners: Floats
     """Points that should be in sight."""
 
-    def position(self, aspect: float) -> Floats:
-        """The nearest place from which all corners are in a window of this width over height."""
+    def camera(self, aspect: float) -> tuple[Floats, Floats]:
+        """Position and target of a camera that has all corners in the middle of its window, as large as they fit.
+
+        Args:
+            aspect: Width over height of the window.
+        """
         right = rightward(self.up, self.direction)
-        upward = np.cross(self.direction, right)
-        offsets = self.corners - self.look_at
-        slope = np.tan(FIELD_OF_VIEW / 2)
-        needed = np.maximum(np.abs(offsets @ right) / (slope * aspect), np.abs(offsets @ upward) / slope)
-        distance = float(np.max(needed + offsets @ self.direction)) * 1.06
-        position: Floats = self.look_at + self.direction * distance
-        return position
+        axes = np.stack([right, np.cross(self.direction, right), self.direction])
+        corners = self.corners @ axes.T
+        slopes = np.tan(FIELD_OF_VIEW / 2) * np.array([aspect, 1.0])
+        middle = (corners.min(axis=0) + corners.max(axis=0)) / 2
+        distance = 0.0
+        for _ in range(_CENTRING_STEPS):
+            offsets = corners - middle
+            distance = float(np.max(np.abs(offsets[:, :2]) / slopes + offsets[:, 2:])) * _MARGIN
+            # What is near looks larger, so the middle of the picture is not that of the corners.
+            seen = offsets[:, :2] / (distance - offsets[:, 2:])
+            middle[:2] += (seen.min(axis=0) + seen.max(axis=0)) / 2 * distance
+        look_at = middle @ axes
+        return look_at + self.direction * distance, look_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +222,8 @@ def _view(placed: Placed, points: Floats) -> View:
     inside = points[((points >= low) & (points <= high)).all(axis=1)]
     if len(inside) < 10:
         inside = points
-    # The middle of what is seen, not of the box: along the picture's own axes.
-    right = rightward(placed.up, placed.direction)
-    axes = np.stack([right, np.cross(placed.direction, right), placed.direction])
-    extents = inside @ axes.T
-    look_at = (extents.min(axis=0) + extents.max(axis=0)) / 2 @ axes
-    # A subset of the points spans nearly the same view at a fraction of the time.
-    return View(look_at, placed.direction, placed.up, inside[:: max(1, len(inside) // 4000)])
+    # A part of the points spans nearly the same view at a fraction of the time.
+    return View(placed.direction, placed.up, inside[:: max(1, len(inside) // 4000)])
 
 
 def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors]:

@@ -105,8 +105,7 @@ class SceneView:
         self._server.scene.set_up_direction(view.up)
         camera = self._server.initial_camera
         camera.up = view.up
-        camera.position = view.position(_USUAL_ASPECT)
-        camera.look_at = view.look_at
+        camera.position, camera.look_at = view.camera(_USUAL_ASPECT)
 
     def _frame(self, client: viser.ClientHandle) -> None:
         """Show the whole scene in one tab, whatever the shape of its window."""
@@ -118,6 +117,8 @@ class SceneView:
         view = picture.view
         with client.atomic():
             camera.up_direction = view.up
-            camera.position = view.position(aspect if aspect > 0 else 1.0)
-            camera.look_at = view.look_at
+            position, look_at = view.camera(aspect if aspect > 0 else 1.0)
+            # Moving the camera takes its target along, so the target comes last.
+            camera.position = position
+            camera.look_at = look_at
         client.flush()

@@ -67,8 +67,9 @@ def test_the_first_view_holds_every_corner(aspect: float) -> None:
     rng = np.random.default_rng(0)
     direction = np.array([0.3, 0.4, 0.866])
     direction /= np.linalg.norm(direction)
-    view = View(np.zeros(3), direction, np.array([0.0, 1.0, 0.0]), rng.normal(size=(200, 3)))
-    camera = view.position(aspect)
+    view = View(direction, np.array([0.0, 1.0, 0.0]), rng.normal(size=(200, 3)) * [3.0, 1.0, 1.0] + [5.0, 0.0, 0.0])
+    camera, look_at = view.camera(aspect)
+    np.testing.assert_allclose((camera - look_at) / np.linalg.norm(camera - look_at), direction)
     right = np.cross(view.up, direction)
     right /= np.linalg.norm(right)
     upward = np.cross(direction, right)
@@ -76,8 +77,11 @@ def test_the_first_view_holds_every_corner(aspect: float) -> None:
     depth = -offsets @ direction
     slope = np.tan(FIELD_OF_VIEW / 2)
     assert (depth > 0).all()
-    assert (np.abs(offsets @ upward) <= depth * slope).all()
-    assert (np.abs(offsets @ right) <= depth * slope * aspect).all()
+    height, width = offsets @ upward / (depth * slope), offsets @ right / (depth * slope * aspect)
+    assert max(np.abs(height).max(), np.abs(width).max()) == pytest.approx(0.95, abs=0.05)
+    # In the middle, both ways.
+    assert height.max() + height.min() == pytest.approx(0, abs=0.02)
+    assert width.max() + width.min() == pytest.approx(0, abs=0.02)
 
 
 def test_up_in_a_room_is_against_its_floor() -> None:
