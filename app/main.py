@@ -110,6 +110,7 @@ def open_session(options: argparse.Namespace) -> "Session":
     pipeline.resolve(wanted, pair.source, pair.target)
     settings = ViewSettings(
         model=wanted.model,
+        weights=wanted.weights,
         descriptor=wanted.descriptor,
         dim=wanted.dim,
         support_radius=wanted.support_radius,

@@ -319,6 +319,7 @@ def _command(pair: PairSource, settings: ViewSettings) -> str:
     options: list[object] = ["--descriptor", settings.descriptor]
     for option, value in (
         ("--model", None if settings.model == "auto" else settings.model),
+        ("--weights", settings.pair_settings().weights),
         ("--dim", settings.dim),
         ("--radius", settings.support_radius),
         ("--min-radius", settings.min_radius),

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any, Literal, get_args
 
 from cgf.pipeline import PairSettings
@@ -25,6 +26,8 @@ class ViewSettings:
     pair: int = 0
     """Which of the pairs that were opened."""
     model: ModelRequest = "auto"
+    weights: Path | None = None
+    """Of the descriptor `cgf`, from the command line; the page does not choose files."""
     descriptor: str = "cgf"
     dim: int | None = None
     """Number of values of a feature; None is the descriptor's usual one."""
@@ -67,6 +70,7 @@ class ViewSettings:
             voxel_size=self.voxel_size,
             mutual=self.mutual,
             max_ratio=self.max_ratio,
+            weights=self.weights if self.descriptor == "cgf" else None,
         )
 
     @property

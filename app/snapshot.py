@@ -228,7 +228,7 @@ def controls_of(analysis: Analysis) -> Controls:
     spacing = resolved.spacing
     return Controls(
         descriptors=descriptors.available(),
-        dims=descriptors.dimensions(resolved.descriptor, resolved.model),
+        dims=descriptors.dimensions(resolved.descriptor, resolved.model, weights=resolved.weights),
         dim=resolved.dim,
         poses=tuple(poses),
         references=tuple(references),

@@ -18,8 +18,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         nargs="+",
         metavar="FOLDER",
-        help="scenes, each with fragments cloud_bin_N.ply and a gt.log of their relative poses",
+        help="scenes, each with fragments cloud_bin_N.ply and logs of their relative poses",
     )
+    data.add_argument("--logs", nargs="+", metavar="NAME", help="names of the logs in those folders (default: gt.log)")
     data.add_argument("--view-sets", type=int, metavar="N", help="sets of 14 range images a mesh, each turned anew")
     data.add_argument("--noise", type=float, nargs=2, metavar=("LOW", "HIGH"), help="of range images, in diameters")
     data.add_argument("--voxel-sizes", type=float, nargs="+", metavar="V", help="densities of scenes, in metres")

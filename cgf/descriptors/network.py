@@ -199,9 +199,10 @@ def read_network(path: Path) -> Network:
 
 def write_network(path: Path, network: Network) -> None:
     """Write the weights and, beside them, their card."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
-    save_file(network.weights, path)
+    # Not its `save_file`, whose files nobody else may read.
+    path.write_bytes(save(network.weights))
     path.with_suffix(".json").write_text(network.card.to_json())
 
 

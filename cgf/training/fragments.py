@@ -78,20 +78,25 @@ def fragments_of_meshes(
 
 
 def fragments_of_scenes(
-    folders: list[Path], *, defaults: ModelDefaults, voxel_sizes: tuple[float, ...], progress: Progress
+    folders: list[Path],
+    *,
+    logs: tuple[str, ...],
+    defaults: ModelDefaults,
+    voxel_sizes: tuple[float, ...],
+    progress: Progress,
 ) -> Fragments:
-    """Read the fragments of each folder's `gt.log` at several voxel sizes; lengths are in metres.
+    """Read the fragments that each folder's `logs` pair, at several voxel sizes; lengths are in metres.
 
     Clouds without normals get them from the full density, turned to the frame's origin.
 
     Raises:
-        InputError: A folder holds no `gt.log`, or no pair overlaps.
+        InputError: A folder lacks a log, or no pair overlaps.
     """
     clouds: list[PointCloud] = []
     overlaps: list[Overlap] = []
     groups: list[list[PointCloud]] = []
     for scene, folder in enumerate(folders):
-        entries = read_log(folder / "gt.log")
+        entries = [entry for log in logs for entry in read_log(folder / log)]
         numbers = sorted({entry.source for entry in entries} | {entry.target for entry in entries})
         first: dict[tuple[int, float], int] = {}
         by_size: dict[float, list[PointCloud]] = {size: [] for size in voxel_sizes}

@@ -77,7 +77,9 @@ def _fragments(settings: TrainSettings, defaults: ModelDefaults, progress: Progr
             progress=progress,
         )
     sizes = settings.voxel_sizes or (defaults.voxel_size,)
-    return fragments_of_scenes(list(settings.scenes), defaults=defaults, voxel_sizes=sizes, progress=progress)
+    return fragments_of_scenes(
+        list(settings.scenes), logs=settings.logs, defaults=defaults, voxel_sizes=sizes, progress=progress
+    )
 
 
 def _default_steps(settings: TrainSettings) -> int:
@@ -89,6 +91,7 @@ def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
     values = {
         name: str(value) for name, value in asdict(settings).items() if name not in {"output", "checkpoint_every"}
     }
+    values |= {name: str(value) for name, value in asdict(MODEL_DEFAULTS[settings.model]).items()}
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
     for cloud in fragments.clouds:
         digest.update(cloud.points.tobytes())

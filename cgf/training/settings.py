@@ -16,7 +16,9 @@ class TrainSettings:
     meshes: Path | None = None
     """Folder of meshes to render range images of."""
     scenes: tuple[Path, ...] = ()
-    """Folders of fragments cloud_bin_N.ply with a gt.log of their relative poses."""
+    """Folders of fragments cloud_bin_N.ply with logs of their relative poses."""
+    logs: tuple[str, ...] = ("gt.log",)
+    """Names of those logs; every pair in them is trained on."""
     model: ModelName = "object"
     """Whose lengths to use: `object` takes shares of the diameter, `indoor` metres."""
     recipe: Literal["contrastive", "paper", "pca"] = "contrastive"

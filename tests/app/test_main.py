@@ -15,6 +15,7 @@ import pytest
 from app.main import build_parser as parser
 from app.main import main, open_session
 from cgf import io
+from cgf.descriptors.network import shipped_weights
 from cgf.types import PointCloud
 from tests.app.scenes import hills
 
@@ -207,3 +208,12 @@ def test_a_pose_found_elsewhere_is_the_estimate(files: Path) -> None:
     assert snapshot.estimate is not None
     assert snapshot.estimate.given
     assert snapshot.command.startswith(f"cgf match {files}/a.ply {files}/b.ply --descriptor cgf --radius 0.8")
+
+
+def test_own_weights_are_used_until_another_descriptor_is_chosen(files: Path) -> None:
+    weights = shipped_weights("cgf-indoor")
+    clouds = [str(files / "a.ply"), str(files / "b.ply")]
+    session = open_session(parser().parse_args([*clouds, "--radius", "0.8", "--weights", str(weights)]))
+    assert session.settings.pair_settings().weights == weights
+    assert session.settings.changed({"descriptor": "fpfh"}, pairs=1).pair_settings().weights is None
+    session.close()
