@@ -325,6 +325,19 @@ def test_libusb_is_found_where_the_system_lacks_it(monkeypatch):
     assert attempts == ["open3d", "open3d"]
 
 
+def test_a_library_that_the_system_lacks_is_named_with_its_package(monkeypatch):
+    def fail(name):
+        raise ImportError("libEGL.so.1: cannot open shared object file: No such file or directory")
+
+    monkeypatch.setattr("importlib.import_module", fail)
+    message = (
+        r"^Open3D, which computes fpfh, must find libEGL\.so\.1, got none on this system; "
+        r"on Debian and Ubuntu: apt-get install libegl1 libgl1 libidn2-0 libx11-6$"
+    )
+    with pytest.raises(InputError, match=message):
+        import_open3d()
+
+
 def test_other_reasons_why_open3d_cannot_load_are_not_hidden(monkeypatch):
     def fail(name):
         raise ImportError("no such module")
