@@ -67,7 +67,8 @@ def run(options: argparse.Namespace) -> int:
     try:
         from cgf.training import recipes
     except ModuleNotFoundError as error:
-        raise InputError(f"training needs {error.name}: pip install 'cgf-viewer[train]'") from error
+        remedy = "install the extra `train`, for example by uv sync --frozen --inexact --extra train"
+        raise InputError(f"training needs {error.name}, which is not installed; {remedy}") from error
     with progress_bar(options) as progress:
         network = recipes.run(settings, command=_command(given), progress=progress or _silent)
     note(options, f"Wrote {settings.output} and its card, {settings.output.with_suffix('.json')}")
