@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
@@ -21,6 +21,13 @@ from cgf.training.triplets import TripletBatch, Triplets
 from cgf.types import Progress
 
 
+@dataclass(frozen=True, eq=False)
+class _Trained:
+    kind: NetworkKind
+    weights: dict[str, np.ndarray]
+    steps: int
+
+
 def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Network:
     """Train as `settings` say and write weights and card.
 
@@ -36,11 +43,11 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     torch.manual_seed(settings.seed)
     defaults = MODEL_DEFAULTS[settings.model]
     fragments = _fragments(settings, defaults, progress)
-    kind, network = _TRAIN[settings.recipe](settings, defaults, fragments, progress)
+    trained = _TRAIN[settings.recipe](settings, defaults, fragments, progress)
     contrastive = settings.recipe == "contrastive"
     frame: FrameKind = "normal" if contrastive else "paper"
     card = NetworkCard(
-        kind=kind,
+        kind=trained.kind,
         model=settings.model,
         dims=settings.dims if contrastive else settings.dims[-1:],
         frame=frame,
@@ -54,16 +61,16 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
         seed=settings.seed,
         training={
             "recipe": settings.recipe,
-            "steps": settings.steps or _default_steps(settings),
+            "steps": trained.steps,
             "batch": settings.batch,
             "clouds": len(fragments.clouds),
             "overlaps": len(fragments.overlaps),
             "torch": torch.__version__,
         },
     )
-    trained = Network(card, network)
-    write_network(settings.output, trained)
-    return trained
+    network = Network(card, trained.weights)
+    write_network(settings.output, network)
+    return network
 
 
 def _fragments(settings: TrainSettings, defaults: ModelDefaults, progress: Progress) -> Fragments:
@@ -82,10 +89,6 @@ def _fragments(settings: TrainSettings, defaults: ModelDefaults, progress: Progr
     )
 
 
-def _default_steps(settings: TrainSettings) -> int:
-    return 6_000 if settings.recipe == "contrastive" else 0
-
-
 def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
     """Changes with everything that changes the course of training."""
     values = {
@@ -98,8 +101,10 @@ def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
     return digest.hexdigest()
 
 
-def _batches(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments) -> Batches:
-    return Batches(
+def _contrastive(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
+) -> _Trained:
+    batches = Batches(
         fragments,
         support_radius=defaults.support_radius,
         min_radius=defaults.min_radius,
@@ -110,87 +115,50 @@ def _batches(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragme
         seed=settings.seed,
     )
 
-
-def _weights(module: nn.Module) -> dict[str, np.ndarray]:
-    return {name: value.detach().cpu().numpy().astype(np.float32) for name, value in module.state_dict().items()}
-
-
-def _contrastive(
-    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
-) -> tuple[NetworkKind, dict[str, np.ndarray]]:
-    batches = _batches(settings, defaults, fragments)
-
     def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:
         features = embed(torch.from_numpy(np.concatenate([batch.source, batch.target])))
         ignored = torch.from_numpy(batch.ignored)
         source, target = features[: len(ignored)], features[len(ignored) :]
         return contrastive_loss(source, target, ignored, dims=settings.dims, temperature=settings.temperature)
 
-    module = train(
-        AzimuthNetwork(settings.dims[-1]),
-        draw=batches.draw,
-        loss_of=loss_of,
-        settings=LoopSettings(
-            steps=settings.steps or _default_steps(settings),
-            learning_rate=settings.learning_rate or 1e-3,
-            weight_decay=0.01,
-            cosine_decay=True,
-            average=0.998,
-            low_precision=settings.precision == "bfloat16",
-            checkpoint_every=settings.checkpoint_every,
-            fingerprint=_fingerprint(settings, fragments),
-        ),
-        folder=settings.output.with_suffix(""),
-        progress=progress,
-    )
-    return "azimuth", _weights(module)
+    loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
+    loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
+    network = AzimuthNetwork(settings.dims[-1])
+    folder = settings.output.with_suffix("")
+    module = train(network, draw=batches.draw, loss_of=loss_of, settings=loop, folder=folder, progress=progress)
+    return _Trained("azimuth", _weights(module), loop.steps)
 
 
-def _paper(
-    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
-) -> tuple[NetworkKind, dict[str, np.ndarray]]:
-    triplets = Triplets(
-        fragments,
-        support_radius=defaults.support_radius,
-        min_radius=defaults.min_radius,
-        lrf_radius=defaults.lrf_radius,
-        tau=defaults.tau,
-        batch=settings.batch,
-        seed=settings.seed,
-        progress=progress,
-    )
+def _paper(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> _Trained:
+    triplets = _triplets(settings, defaults, fragments, progress)
 
     def loss_of(embed: Callable[[Tensor], Tensor], batch: TripletBatch) -> Tensor:
         features = embed(torch.from_numpy(batch.histograms))
         anchors, positives, negatives = (features[torch.from_numpy(rows)] for rows in batch.rows)
         return triplet_loss(anchors, positives, negatives)
 
-    module = train(
-        PaperNetwork(settings.dims[-1]),
-        draw=triplets.draw,
-        loss_of=loss_of,
-        settings=LoopSettings(
-            steps=settings.steps or 3 * triplets.batches_per_epoch,
-            learning_rate=settings.learning_rate or 1e-4,
-            weight_decay=0.0,
-            cosine_decay=False,
-            average=0.0,
-            low_precision=settings.precision == "bfloat16",
-            checkpoint_every=settings.checkpoint_every,
-            fingerprint=_fingerprint(settings, fragments),
-        ),
-        folder=settings.output.with_suffix(""),
-        progress=progress,
-    )
-    return "paper", _weights(module)
+    loop = _loop(settings, fragments, steps=3 * triplets.batches_per_epoch, learning_rate=1e-4)
+    network = PaperNetwork(settings.dims[-1])
+    folder = settings.output.with_suffix("")
+    module = train(network, draw=triplets.draw, loss_of=loss_of, settings=loop, folder=folder, progress=progress)
+    return _Trained("paper", _weights(module), loop.steps)
 
 
-def _pca(
-    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
-) -> tuple[NetworkKind, dict[str, np.ndarray]]:
+def _pca(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> _Trained:
     from sklearn.decomposition import IncrementalPCA
 
-    triplets = Triplets(
+    triplets = _triplets(settings, defaults, fragments, progress)
+    pca = IncrementalPCA(n_components=settings.dims[-1])
+    steps = settings.steps or 40
+    for step in range(steps):
+        pca.partial_fit(triplets.draw(step).histograms)
+        progress((step + 1) / steps, f"principal components, part {step + 1} of {steps}")
+    weights = {"mean": pca.mean_, "components": pca.components_}
+    return _Trained("pca", {name: np.ascontiguousarray(v, np.float32) for name, v in weights.items()}, steps)
+
+
+def _triplets(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> Triplets:
+    return Triplets(
         fragments,
         support_radius=defaults.support_radius,
         min_radius=defaults.min_radius,
@@ -200,13 +168,24 @@ def _pca(
         seed=settings.seed,
         progress=progress,
     )
-    pca = IncrementalPCA(n_components=settings.dims[-1])
-    steps = settings.steps or 40
-    for step in range(steps):
-        pca.partial_fit(triplets.draw(step).histograms)
-        progress((step + 1) / steps, f"principal components, part {step + 1} of {steps}")
-    weights = {"mean": pca.mean_, "components": pca.components_}
-    return "pca", {name: np.ascontiguousarray(values, np.float32) for name, values in weights.items()}
+
+
+def _loop(settings: TrainSettings, fragments: Fragments, *, steps: int, learning_rate: float) -> LoopSettings:
+    """How to optimise: plain Adam as in the paper, for `steps` and at `learning_rate` if the user has not chosen."""
+    return LoopSettings(
+        steps=settings.steps or steps,
+        learning_rate=settings.learning_rate or learning_rate,
+        weight_decay=0.0,
+        cosine_decay=False,
+        average=0.0,
+        low_precision=settings.precision == "bfloat16",
+        checkpoint_every=settings.checkpoint_every,
+        fingerprint=_fingerprint(settings, fragments),
+    )
+
+
+def _weights(module: nn.Module) -> dict[str, np.ndarray]:
+    return {name: value.detach().cpu().numpy().astype(np.float32) for name, value in module.state_dict().items()}
 
 
 _TRAIN = {"contrastive": _contrastive, "paper": _paper, "pca": _pca}
