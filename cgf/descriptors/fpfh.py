@@ -9,7 +9,7 @@ from cgf.descriptors.settings import DescriptorSettings
 from cgf.io import import_open3d
 from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
 
-_RADIUS_OVER_SUPPORT = {"object": 0.08 / 0.17, "indoor": 0.4 / 1.2}
+_RADIUS_OVER_SUPPORT = {"object": 0.08 / 0.17, "indoor": 0.4 / 0.9}
 """FPFH has its own best radius: 8 % of the diameter on object scans, 0.4 m in rooms (swept on validation data)."""
 
 

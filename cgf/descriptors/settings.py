@@ -97,8 +97,9 @@ MODEL_DEFAULTS: dict[ModelName, ModelDefaults] = {
         name="indoor",
         relative=False,
         voxel_size=0.03,
-        support_radius=1.2,
-        min_radius=0.1,
+        # Departure: the paper has 1.2 and 0.1 m; validated on a room that was not trained on.
+        support_radius=0.9,
+        min_radius=0.075,
         lrf_radius=0.25,
         normal_radius=0.1,
         tau=0.075,

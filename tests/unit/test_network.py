@@ -13,6 +13,7 @@ from cgf.descriptors.network import (
     unit_rows,
     write_network,
 )
+from cgf.descriptors.settings import MODEL_DEFAULTS
 
 AZIMUTH = NetworkCard(
     kind="azimuth",
@@ -113,3 +114,9 @@ def test_shipped_features_come_in_nested_dimensions(model):
     np.testing.assert_allclose(np.linalg.norm(features, axis=1), 1, rtol=1e-5)
     # Every prefix carries something: none is a multiple of one direction.
     assert all(np.linalg.matrix_rank(features[:, :dim]) == dim for dim in (8, 16))
+
+
+@pytest.mark.parametrize("name", ["cgf-object", "cgf-indoor", "pca-object", "pca-indoor"])
+def test_shipped_weights_were_trained_with_the_lengths_they_are_used_with(name):
+    card = read_network(shipped_weights(name)).card
+    assert card.defaults() == MODEL_DEFAULTS[card.model]
