@@ -11,7 +11,7 @@ from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.parallel import for_each_block
 from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
 
-_BLOCK = 256
+_BLOCK = 96
 """Points described at a time by one thread; what the network computes for them stays in the processor's cache."""
 
 
