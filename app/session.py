@@ -23,6 +23,11 @@ from cgf.types import Pair, Transform
 Listener = Callable[[], None]
 
 
+PROGRESS_INTERVAL_S = 0.25
+"""Between two notices of one stage's progress: each has the browser paint the page, scene included, which without a
+graphics card takes the time of the computation itself."""
+
+
 @dataclass(frozen=True, eq=False)
 class PairSource:
     """A pair that can be opened."""
@@ -51,6 +56,7 @@ class Session:
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
         self._settings = settings
+        self._progress_told = 0.0
         self._revision = 0
         self._status = Status("working", "Starting", 0.0)
         self._error: str | None = None
@@ -255,9 +261,14 @@ class Session:
             listener()
 
     def _on_progress(self, share: float, text: str) -> None:
+        now = time.monotonic()
         with self._lock:
+            news = text != self._status.text or now - self._progress_told >= PROGRESS_INTERVAL_S
             self._status = Status("working", text, share)
-        self._notify()
+            if news:
+                self._progress_told = now
+        if news:
+            self._notify()
 
     def _on_error(self, error: Exception) -> None:
         text = _in_words_of_the_page(str(error)) if isinstance(error, ValueError) else _unexpected(error)
