@@ -249,8 +249,8 @@ def shipped_weights(name: str) -> Path:
 
 
 @lru_cache(maxsize=8)
-def load_network(name: str, model: ModelName, weights: Path | None = None) -> Network:
-    """Weights that come with the package, e.g. `cgf` trained on `object`; or others, for `cgf`.
+def load_network(name: str, model: ModelName | None, weights: Path | None = None) -> Network:
+    """Weights that come with the package, e.g. `cgf` trained on `object`; or others, for `cgf`, of any model if None.
 
     Raises:
         ValueError: There are none, or they contradict their card or what is asked of them.
@@ -260,6 +260,6 @@ def load_network(name: str, model: ModelName, weights: Path | None = None) -> Ne
     network = read_network(weights)
     if name != "cgf":
         raise ValueError(f"weights must be for descriptor cgf, got {weights} for descriptor {name}")
-    if network.card.model != model:
+    if model not in (None, network.card.model):
         raise ValueError(f"weights must be trained for model {model}, got {network.card.model} from {weights}")
     return network

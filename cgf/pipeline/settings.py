@@ -9,7 +9,7 @@ import numpy as np
 
 from cgf import descriptors
 from cgf.checks import InputError
-from cgf.descriptors.network import NetworkCard, read_network
+from cgf.descriptors.network import NetworkCard, load_network
 from cgf.descriptors.settings import MODEL_DEFAULTS, ModelDefaults, ModelName
 from cgf.types import PointCloud
 
@@ -222,7 +222,7 @@ def _card(settings: PairSettings) -> NetworkCard:
     if settings.descriptor != "cgf":
         raise InputError(f"--weights must go with --descriptor cgf, got {settings.descriptor}")
     try:
-        card = read_network(settings.weights).card
+        card = load_network("cgf", None, settings.weights).card
     except ValueError as error:
         raise InputError(f"--weights: {error}") from error
     if settings.model not in ("auto", card.model):
