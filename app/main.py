@@ -108,19 +108,7 @@ def open_session(options: argparse.Namespace) -> "Session":
     pair = sources[0].load()
     wanted = cli.feature_settings(options)
     pipeline.resolve(wanted, pair.source, pair.target)
-    settings = ViewSettings(
-        model=wanted.model,
-        weights=wanted.weights,
-        descriptor=wanted.descriptor,
-        dim=wanted.dim,
-        support_radius=wanted.support_radius,
-        min_radius=wanted.min_radius,
-        lrf_radius=wanted.lrf_radius,
-        voxel_size=wanted.voxel_size,
-        mutual=wanted.mutual,
-        max_ratio=wanted.max_ratio,
-    )
-    return Session(sources, settings, given_estimate=_read_estimate(options))
+    return Session(sources, ViewSettings.of_pair(wanted), given_estimate=_read_estimate(options))
 
 
 def open_pairs(options: argparse.Namespace) -> "list[PairSource]":

@@ -58,20 +58,17 @@ class ViewSettings:
     """What errors are measured against; None is the ground truth where there is one."""
     coloring: Coloring = "error"
 
+    @classmethod
+    def of_pair(cls, wanted: PairSettings) -> "ViewSettings":
+        """What the command line asked for, and every other control at its default."""
+        return cls(**{name: getattr(wanted, name) for name in _OF_PAIR})
+
     def pair_settings(self) -> PairSettings:
         """The part the computation depends on."""
-        return PairSettings(
-            model=self.model,
-            descriptor=self.descriptor,
-            dim=self.dim,
-            support_radius=self.support_radius,
-            min_radius=self.min_radius,
-            lrf_radius=self.lrf_radius,
-            voxel_size=self.voxel_size,
-            mutual=self.mutual,
-            max_ratio=self.max_ratio,
-            weights=self.weights if self.descriptor == "cgf" else None,
-        )
+        chosen: dict[str, Any] = {name: getattr(self, name) for name in _OF_PAIR}
+        if self.descriptor != "cgf":
+            chosen["weights"] = None
+        return PairSettings(**chosen)
 
     @property
     def work_key(self) -> tuple[object, ...]:
@@ -117,6 +114,7 @@ class ViewSettings:
         )
 
 
+_OF_PAIR = tuple({field.name for field in fields(PairSettings)} & {field.name for field in fields(ViewSettings)})
 _LENGTHS = ("support_radius", "min_radius", "lrf_radius", "voxel_size", "error_scale")
 _CHOICES: dict[str, tuple[object, ...]] = {
     "model": get_args(ModelRequest),
