@@ -2,10 +2,12 @@
 
 The stages in order: `resolve` settings, `prepare` each cloud, `describe` each, `match_features`, filter,
 `register_pair`. `run_pair` does them all; the viewer calls them one by one and keeps what has not changed, by the
-keys of `ResolvedSettings`. Errors that a user can mend are `InputError`s and name the option of the command line.
+keys of `ResolvedSettings`. `inspect_point` and `rejections` look into what came out. Errors that a user can mend are `InputError`s and name the option of the command line.
 """
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
+from cgf.pipeline.inspection import PointInspection, Surroundings, best_turn, far_modes, inspect_point
+from cgf.pipeline.rejection import REJECTIONS, Rejection, rejections
 from cgf.pipeline.settings import ModelChoice, PairSettings, ResolvedSettings, choose_model, resolve
 from cgf.pipeline.stages import (
     PairResult,
@@ -22,19 +24,27 @@ from cgf.pipeline.stages import (
 
 __all__ = [
     "MODEL_DEFAULTS",
+    "REJECTIONS",
     "ModelChoice",
     "PairResult",
     "PairSettings",
+    "PointInspection",
+    "Rejection",
     "ResolvedSettings",
+    "Surroundings",
     "at_dim",
+    "best_turn",
     "choose_model",
     "describe",
+    "far_modes",
     "filtered_rows",
+    "inspect_point",
     "load_pair",
     "match_features",
     "prepare",
     "register_pair",
     "registration_warning",
+    "rejections",
     "resolve",
     "run_pair",
 ]
