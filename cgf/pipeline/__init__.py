@@ -2,7 +2,8 @@
 
 The stages in order: `resolve` settings, `prepare` each cloud, `describe` each, `match_features`, filter,
 `register_pair`. `run_pair` does them all; the viewer calls them one by one and keeps what has not changed, by the
-keys of `ResolvedSettings`. `inspect_point` and `rejections` look into what came out. Errors that a user can mend are `InputError`s and name the option of the command line.
+keys of `ResolvedSettings`. `inspect_point` and `rejections` look into what came out. Errors that a user can mend are
+`InputError`s and name the option of the command line.
 """
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
