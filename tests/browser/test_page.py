@@ -321,12 +321,12 @@ _LAYOUT = """() => {
   const cut = visible.filter((element) => element.scrollWidth > element.clientWidth + 1 && element.clientWidth > 0
     && getComputedStyle(element).display !== "inline" && !element.matches(mayBeCut) && !element.closest("select"))
     .map((element) => `${name(element)}: ${element.textContent.trim().slice(0, 40)}`);
-  const hidden = [...document.querySelectorAll(".controls, .panel, .dock, .legend-strip")]
+  const hidden = [...document.querySelectorAll(".controls, .panel, .dock, .tabpanel, .legend-strip")]
     .filter((element) => element.scrollHeight > element.clientHeight + 1).map(name);
   const overlapping = [];
-  const groups = ["body > *", ".top > :not(.progress)", ".controls > *", ".row > *", ".dock > *", ".legend-strip > *",
-    ".actions > *", ".panel > *", "#funnel > li", "#figures > *", ".ramp-ticks > *", "#swatches > *",
-    ".stage > :not(iframe)"];
+  const groups = ["body > *", ".top > :not(.progress)", ".controls > *", ".row > *", ".dock > :not(.dock-edge)",
+    ".tab-strip > *", ".tabs > *", ".tabpanel > *", ".legend-strip > *", ".actions > *", ".panel > *",
+    "#funnel > li", "#figures > *", ".ramp-ticks > *", "#swatches > *", ".stage > :not(iframe)"];
   for (const group of groups) {
     const parents = new Map();
     for (const element of document.querySelectorAll(group)) {

@@ -1,0 +1,38 @@
+"""The page, the typed API under it, and the door to the 3D scene; everything behind the guard.
+
+One module a topic, each with a function `router` that gives its paths.
+"""
+
+from pathlib import Path
+
+from fastapi import FastAPI
+from fastapi.staticfiles import StaticFiles
+
+from app.routes import pages, results, scene, state
+from app.routes.problems import add_problems
+from app.session import Session
+
+_DESCRIPTION = "State and controls of one run of cgf-viewer. Paths are relative to the URL with the token."
+
+
+def static_folder() -> Path:
+    """Where the page lies: beside the package in a checkout, inside it once installed."""
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "static"
+    return installed if installed.is_dir() else package.parent / "static"
+
+
+def create_app(session: Session, shown: scene.Scene) -> FastAPI:
+    """The application for one session and its scene."""
+    # Swagger's own page would load scripts from another site; /api/docs is ours and loads nothing.
+    app = FastAPI(
+        title="cgf-viewer", description=_DESCRIPTION, openapi_url="/api/openapi.json", docs_url=None, redoc_url=None
+    )
+    static = static_folder()
+    app.mount("/static", StaticFiles(directory=static), name="static")
+    app.include_router(pages.router(static))
+    app.include_router(scene.router(shown))
+    app.include_router(state.router(session))
+    app.include_router(results.router(session))
+    add_problems(app)
+    return app

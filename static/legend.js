@@ -1,0 +1,48 @@
+// The legend, painted with the colours that the server painted the scene with.
+
+import { $, element } from "./lib/dom.js";
+import { axisUnit, length, significant } from "./lib/format.js";
+import { roundValues } from "./lib/plot.js";
+
+export function renderLegend({ legend, reference, unit }) {
+  const against = legend.coloring === "error" && reference === "estimate" ? ", relative to the estimate" : "";
+  $("legend-title").textContent = legend.title + against;
+  $("legend-title").title = legend.title + against;
+  $("ramp").hidden = legend.ramp.length === 0;
+  if (legend.ramp.length) {
+    const canvas = $("ramp-colors");
+    canvas.width = legend.ramp.length;
+    const context = canvas.getContext("2d");
+    legend.ramp.forEach((color, column) => {
+      context.fillStyle = color;
+      context.fillRect(column, 0, 1, 1);
+    });
+    const { size } = axisUnit(legend.scale, unit);
+    const marks = roundValues(0, legend.scale / size).filter((value) => value * size < legend.scale)
+      .map((value) => [value * size, significant(value, 3)]);
+    marks.push([legend.scale, `≥ ${length(legend.scale, unit)}`]);
+    $("ramp-ticks").replaceChildren(...marks.map(([value, text]) => {
+      const tick = element("span", { textContent: text });
+      tick.style.left = `${(100 * value) / legend.scale}%`;
+      return tick;
+    }));
+    thinTicks();
+  }
+  $("swatches").replaceChildren(...legend.swatches.map(({ color, label }) => {
+    const dot = element("i");
+    dot.style.background = color;
+    return element("li", { title: label }, dot, label);
+  }));
+}
+
+/** Drop the labels that the last one, or the one before, leaves no room for. */
+function thinTicks() {
+  const ticks = [...$("ramp-ticks").children];
+  const last = ticks.pop();
+  let end = -Infinity;
+  for (const tick of ticks) {
+    const { left, right } = tick.getBoundingClientRect();
+    if (left < end || right + 8 > last.getBoundingClientRect().left) tick.remove();
+    else end = right + 8;
+  }
+}

@@ -1,0 +1,99 @@
+// Talking to the server: its state, changes to its settings, and requests beside these.
+
+let latest = null;
+let refusal = null; // why the last change was not made
+let isOffline = false;
+const listeners = [];
+
+/** The last state that the server sent, or null. */
+export const state = () => latest;
+
+/** Why the last change was not made, or null; and a way to say so, or to forget it. */
+export const refused = () => refusal;
+
+export function refuse(message) {
+  refusal = message;
+  tell();
+}
+
+export const offline = () => isOffline;
+
+/** Call `listener` after every change of the state, of its status alone where its argument says so. */
+export const listen = (listener) => listeners.push(listener);
+
+function tell({ onlyStatus = false } = {}) {
+  for (const listener of listeners) listener({ onlyStatus });
+}
+
+// One request at a time: while one is under way, later changes gather and go together.
+let waiting = null;
+let underWay = null;
+
+export function change(settings) {
+  waiting = { ...waiting, ...settings };
+  if (!underWay) send();
+}
+
+/** What was asked for and the server may not know yet. */
+export const pending = (name) => ({ ...underWay, ...waiting })[name];
+
+/** What was chosen, though the server may not know it yet: a control never jumps back meanwhile. */
+export const chosen = () => ({ ...latest.settings, ...underWay, ...waiting });
+
+async function send() {
+  while (waiting) {
+    underWay = waiting;
+    waiting = null;
+    try {
+      const content = await api("settings", { method: "PATCH", body: underWay });
+      underWay = null;
+      refusal = null;
+      show(content);
+    } catch (error) {
+      underWay = null;
+      if (error instanceof Refusal) refuse(error.message);
+      else lost();
+    }
+  }
+}
+
+/** An answer of the server that says why something cannot be done. */
+export class Refusal extends Error {}
+
+/**
+ * Ask `path` under `api/` and give the answer's JSON, or null where it has none.
+ *
+ * `body` is sent as JSON. Throws a `Refusal` with a line for the person, or what `fetch` throws where there is no answer.
+ */
+export async function api(path, { body, ...rest } = {}) {
+  const sent = body === undefined ? {} : { headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+  const answer = await fetch(`api/${path}`, { ...sent, ...rest });
+  const content = answer.headers.get("Content-Type")?.startsWith("application/json") ? await answer.json() : null;
+  if (!answer.ok) throw new Refusal(content?.message ?? `The server answered ${answer.status}.`);
+  return content;
+}
+
+export function connect() {
+  const events = new EventSource("api/events");
+  events.addEventListener("state", (event) => show(JSON.parse(event.data)));
+  events.addEventListener("status", (event) => {
+    if (!latest) return;
+    isOffline = false;
+    latest.status = JSON.parse(event.data);
+    tell({ onlyStatus: true });
+  });
+  events.onerror = lost;
+}
+
+function lost() {
+  isOffline = true;
+  tell({ onlyStatus: true });
+}
+
+function show(next) {
+  // Answers and events may overtake each other.
+  if (latest && next.revision < latest.revision) return;
+  isOffline = false;
+  latest = next;
+  tell();
+}
