@@ -12,8 +12,17 @@ from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
 from cgf.geometry.parallel import for_each_block
 
 _BLOCK = 64
-_TABLE_SIZE = 1024
-_SIN_30, _SIN_60 = np.float32(0.5), np.float32(np.sqrt(0.75))
+_HALF_SECTORS = 2 * AZIMUTH_BINS
+_COLUMN = RADIAL_BINS * ELEVATION_BINS
+_OUTSIDE = _HALF_SECTORS * _COLUMN
+"""Where candidates are counted that are no neighbours."""
+_GATHERED = 2048
+"""Candidates looked at together; they and their bins stay in the processor's first cache."""
+_EDGE_COSINES = np.cos(np.arange(1, ELEVATION_BINS // 2 + 1) * np.pi / ELEVATION_BINS).astype(np.float32)
+"""Of the elevation edges above the tangent plane; those below are their mirror images."""
+_TURNS = np.arange(1, _HALF_SECTORS // 4) * np.pi / (_HALF_SECTORS // 2)
+_TURN_COSINES, _TURN_SINES = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
+"""Of the edges between half sectors in the first quadrant; the others are mirror images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,17 +34,26 @@ class HistogramGrid:
     min_radius: float
 
     def histograms(
-        self, centers: Float64[np.ndarray, "K 3"], frames: Float64[np.ndarray, "K 3 3"]
+        self, centers: Float64[np.ndarray, "K 3"], frames: Float64[np.ndarray, "K 3 3"], *, soft: bool = False
     ) -> tuple[Float32[np.ndarray, "K 2244"], Int64[np.ndarray, "K"]]:
         """Histograms around `centers` in `frames`, each row summing to 1, and the number of neighbours.
 
         A bin holds its share of the neighbours; a centre itself is no neighbour. Rows without any hold zeros.
+
+        Args:
+            centers: In cloud units.
+            frames: Rows are x, y, z.
+            soft: Share each neighbour between the two nearest azimuth sectors, to the nearest half sector, so that a
+                slightly turned frame changes little; else it counts in the one that it lies in, as in the paper.
         """
-        sq_edges, radial_table = _radial_table(self.support_radius, self.min_radius)
-        cosines, elevation_table = _elevation_table()
+        shells = RADIAL_BINS - 1
+        # Quirk: as in the authors' program, shell 0 is everything below `min_radius` and the other 16 are log-spaced
+        # above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
+        edges = self.min_radius * (self.support_radius / self.min_radius) ** (np.arange(shells) / shells)
+        sq_edges = np.square(edges).astype(np.float32)
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
-        rows = np.zeros((len(centers), HISTOGRAM_BINS), np.float32)
-        counts = np.zeros(len(centers), np.int64)
+        rows = np.empty((len(centers), HISTOGRAM_BINS), np.float32)
+        counts = np.empty(len(centers), np.int64)
 
         def fill(part: slice) -> None:
             _fill_histograms(
@@ -44,9 +62,7 @@ class HistogramGrid:
                 *self.grid.arguments(),
                 np.float32(self.support_radius),
                 sq_edges,
-                radial_table,
-                cosines,
-                elevation_table,
+                soft,
                 rows[part],
                 counts[part],
             )
@@ -71,75 +87,50 @@ def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float,
     return HistogramGrid(build_grid(points, cell_size=support_radius / 4), support_radius, min_radius)
 
 
-def _radial_table(support_radius: float, min_radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Squared outer edges of the shells but the last, and the shell at the lower end of each table cell.
-
-    Quirk: as in the authors' program, shell 0 is everything below `min_radius` and the other 16 are log-spaced
-    above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
-    """
-    shells = RADIAL_BINS - 1
-    edges = min_radius * (support_radius / min_radius) ** (np.arange(shells) / shells)
-    lower = np.arange(_TABLE_SIZE + 1) / _TABLE_SIZE * support_radius**2
-    return (edges**2).astype(np.float32), np.searchsorted(edges**2, lower, side="right").astype(np.int32)
-
-
-def _elevation_table() -> tuple[np.ndarray, np.ndarray]:
-    """Cosines of the inner elevation edges, descending, and the bin at the upper end of each table cell."""
-    cosines = np.cos(np.arange(1, ELEVATION_BINS) * np.pi / ELEVATION_BINS)
-    upper = (np.arange(_TABLE_SIZE + 1) + 1) / (_TABLE_SIZE / 2) - 1
-    return cosines.astype(np.float32), (upper[:, None] <= cosines).sum(axis=1).astype(np.int32)
-
-
-@njit(inline="always")
+# No transcendental functions, tables or branches: comparisons with the edges, which the compiler does for several
+# candidates at a time. What is no neighbour goes into a bin of its own.
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
 @no_type_check
-def _sector(x, y):
-    """Azimuth bin of a direction: 30 degrees each, the first begins at -x and they turn from there towards -y."""
-    half = 0
-    if y >= 0.0:
-        half = AZIMUTH_BINS // 2
-    else:
-        x, y = -x, -y
-    return (
-        half
-        + (y * _SIN_60 >= x * _SIN_30)
-        + (y * _SIN_30 >= x * _SIN_60)
-        + (x <= 0.0)
-        + (-y * _SIN_30 >= x * _SIN_60)
-        + (-y * _SIN_60 >= x * _SIN_30)
-    )
+def _find_bins(dx, dy, dz, count, frame, sq_radius, sq_edges, bins):
+    zero = np.float32(0.0)
+    for i in range(count):
+        sq_distance = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i]
+        x = dx[i] * frame[0, 0] + dy[i] * frame[0, 1] + dz[i] * frame[0, 2]
+        y = dx[i] * frame[1, 0] + dy[i] * frame[1, 1] + dz[i] * frame[1, 2]
+        z = dx[i] * frame[2, 0] + dy[i] * frame[2, 1] + dz[i] * frame[2, 2]
+        shell = np.int32(0)
+        for k in range(RADIAL_BINS - 1):
+            shell += np.int32(sq_distance >= sq_edges[k])
+        distance, height = np.sqrt(sq_distance), abs(z)
+        steps = np.int32(0)
+        for k in range(ELEVATION_BINS // 2):
+            steps += np.int32(height > _EDGE_COSINES[k] * distance)
+        elevation = np.int32(ELEVATION_BINS // 2) + (-steps if z >= zero else steps)
+        # The first half sector begins at -x; they turn from there towards -y.
+        along, across = abs(x), abs(y)
+        steps = np.int32(0)
+        for k in range(_HALF_SECTORS // 4 - 1):
+            steps += np.int32(across * _TURN_COSINES[k] >= along * _TURN_SINES[k])
+        half_sector = steps if (x >= zero) == (y >= zero) else np.int32(_HALF_SECTORS // 2 - 1) - steps
+        half_sector += np.int32(_HALF_SECTORS // 2) * np.int32(y >= zero)
+        found = shell + np.int32(RADIAL_BINS) * (elevation + np.int32(ELEVATION_BINS) * half_sector)
+        is_neighbor = sq_distance <= sq_radius and sq_distance > np.float32(1e-15)
+        bins[i] = found if is_neighbor else np.int32(_OUTSIDE)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True)
 @no_type_check
-def _fill_histograms(
-    centers,
-    frames,
-    xs,
-    ys,
-    zs,
-    starts,
-    shape,
-    cell_size,
-    radius,
-    sq_edges,
-    radial_table,
-    cosines,
-    elevation_table,
-    rows,
-    counts,
-):
+def _fill_histograms(centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, soft, rows, counts):
     sq_radius = radius * radius
-    radial_scale = np.float32(_TABLE_SIZE) / sq_radius
-    half_table = np.float32(_TABLE_SIZE // 2)
+    dx, dy, dz = (np.empty(_GATHERED, np.float32), np.empty(_GATHERED, np.float32), np.empty(_GATHERED, np.float32))
+    bins = np.empty(_GATHERED, np.int32)
+    hits = np.empty(_OUTSIDE + 1, np.float32)
     for k in range(len(centers)):
         px, py, pz = centers[k, 0], centers[k, 1], centers[k, 2]
-        xx, xy, xz = frames[k, 0, 0], frames[k, 0, 1], frames[k, 0, 2]
-        yx, yy, yz = frames[k, 1, 0], frames[k, 1, 1], frames[k, 1, 2]
-        zx, zy, zz = frames[k, 2, 0], frames[k, 2, 1], frames[k, 2, 2]
         first_y, last_y = cell_range(py, radius, cell_size, shape[1])
         first_z, last_z = cell_range(pz, radius, cell_size, shape[2])
-        row = rows[k]
-        count = 0
+        hits[:] = 0.0
+        gathered = total = 0
         for cz in range(first_z, last_z + 1):
             gap_z = axis_gap(pz, cz, cell_size)
             for cy in range(first_y, last_y + 1):
@@ -152,21 +143,39 @@ def _fill_histograms(
                 if last_x < first_x:
                     continue
                 cell = (cz * shape[1] + cy) * shape[0]
-                for i in range(starts[cell + first_x], starts[cell + last_x + 1]):
-                    dx, dy, dz = xs[i] - px, ys[i] - py, zs[i] - pz
-                    sq_distance = dx * dx + dy * dy + dz * dz
-                    if sq_distance > sq_radius or sq_distance <= np.float32(1e-15):
-                        continue
-                    shell = radial_table[int(sq_distance * radial_scale)]
-                    while shell < RADIAL_BINS - 1 and sq_distance >= sq_edges[shell]:
-                        shell += 1
-                    cosine = (dx * zx + dy * zy + dz * zz) / np.sqrt(sq_distance)
-                    elevation = elevation_table[max(min(int((cosine + np.float32(1.0)) * half_table), _TABLE_SIZE), 0)]
-                    while elevation < ELEVATION_BINS - 1 and cosine <= cosines[elevation]:
-                        elevation += 1
-                    sector = _sector(dx * xx + dy * xy + dz * xz, dx * yx + dy * yy + dz * yz)
-                    row[shell + RADIAL_BINS * (elevation + ELEVATION_BINS * sector)] += np.float32(1.0)
-                    count += 1
-        counts[k] = count
-        if count > 0:
-            row /= np.float32(count)
+                i, end = starts[cell + first_x], starts[cell + last_x + 1]
+                while i < end:
+                    taken = min(end - i, _GATHERED - gathered)
+                    for j in range(taken):
+                        dx[gathered + j] = xs[i + j] - px
+                        dy[gathered + j] = ys[i + j] - py
+                        dz[gathered + j] = zs[i + j] - pz
+                    i += taken
+                    gathered += taken
+                    if gathered == _GATHERED:
+                        _find_bins(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, bins)
+                        for j in range(gathered):
+                            hits[bins[j]] += np.float32(1.0)
+                        total += gathered
+                        gathered = 0
+        _find_bins(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, bins)
+        for j in range(gathered):
+            hits[bins[j]] += np.float32(1.0)
+        counts[k] = total + gathered - int(hits[_OUTSIDE])
+        _add_half_sectors(hits, np.float32(1.0) / np.float32(max(counts[k], 1)), soft, rows[k])
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _add_half_sectors(hits, scale, soft, row):
+    # Triangles of two sectors' width around the middle of each, averaged over half sectors.
+    outer = np.float32(0.25) * scale if soft else np.float32(0.0)
+    inner = np.float32(0.75) * scale if soft else scale
+    for sector in range(AZIMUTH_BINS):
+        first, second = 2 * sector * _COLUMN, (2 * sector + 1) * _COLUMN
+        before = (2 * sector - 1) % _HALF_SECTORS * _COLUMN
+        after = (2 * sector + 2) % _HALF_SECTORS * _COLUMN
+        for j in range(_COLUMN):
+            row[sector * _COLUMN + j] = inner * (hits[first + j] + hits[second + j]) + outer * (
+                hits[before + j] + hits[after + j]
+            )

@@ -48,6 +48,34 @@ def test_each_sector_is_thirty_degrees(degrees):
     assert np.flatnonzero(rows[0])[0] // 187 == ((degrees + 180) % 360) // 30
 
 
+def test_soft_sectors_share_a_neighbor_with_the_nearer_one():
+    for degrees in range(7, 360, 10):
+        angle = np.deg2rad(degrees)
+        cloud = np.array([[0.0, 0.0, 0.0], [0.5 * np.cos(angle), 0.5 * np.sin(angle), 0.0]])
+        grid = histogram_grid(cloud, support_radius=SUPPORT, min_radius=LEAST)
+        rows, _ = grid.histograms(np.zeros((1, 3)), np.eye(3)[None], soft=True)
+        sectors = rows[0].reshape(12, 187).sum(axis=1)
+        own = ((degrees + 180) % 360) // 30
+        nearer = (own + (1 if degrees % 30 > 15 else -1)) % 12
+        expected = np.zeros(12)
+        expected[own], expected[nearer] = 0.75, 0.25
+        np.testing.assert_allclose(sectors, expected)
+
+
+def test_soft_sectors_are_means_of_frames_turned_by_half_a_sector():
+    rng = np.random.default_rng(8)
+    points = rng.uniform(-1, 1, size=(2000, 3))
+    grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST)
+    frames = np.stack([random_frame(rng) for _ in range(30)])
+    half = np.deg2rad(15)
+    turn = np.array([[np.cos(half), np.sin(half), 0], [-np.sin(half), np.cos(half), 0], [0, 0, 1]])
+    plain, turned = (grid.histograms(points[:30], axes)[0].reshape(30, 12, 187) for axes in (frames, turn @ frames))
+    soft, _ = grid.histograms(points[:30], frames, soft=True)
+    expected = plain / 2 + turned / 4 + np.roll(turned, 1, axis=1) / 4
+    # Single precision may put a neighbour on the other side of an edge.
+    assert np.abs(soft.reshape(30, 12, 187) - expected).sum(axis=(1, 2)).max() < 0.01
+
+
 def test_a_lonely_point_has_a_row_of_zeros():
     cloud = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
     rows, counts = histogram_grid(cloud, support_radius=SUPPORT, min_radius=LEAST).histograms(
