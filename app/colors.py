@@ -5,22 +5,25 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from app.settings import Palette
+
 Colors = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float64]
 
-# From exact (light) to useless (black), as in the paper's error figure. Lightness falls steadily, so the order survives
-# colour blindness and a black-and-white print. No anchor is brighter than what the tone-mapped lines can show.
-_ERROR_ANCHORS = (
-    (227, 225, 158),
-    (229, 196, 112),
-    (224, 150, 88),
-    (205, 103, 92),
-    (164, 66, 104),
-    (112, 44, 102),
-    (62, 26, 74),
-    (24, 12, 32),
-    (0, 0, 0),
-)
+# Each runs from an exact match to a useless one. None of their colours is brighter or purer than what the tone-mapped
+# lines can show, and all are told apart under each kind of colour blindness.
+_ANCHORS: dict[Palette, tuple[tuple[int, int, int], ...]] = {
+    # As in the paper's error figure, light to black. Lightness falls steadily, so the order survives a black-and-white
+    # print.
+    "paper": ((227, 225, 158), (229, 196, 112), (224, 150, 88), (205, 103, 92), (164, 66, 104), (112, 44, 102),
+              (62, 26, 74), (24, 12, 32), (0, 0, 0)),
+    # Like matplotlib's, but dimmer at the light end, for the lines. Nothing is black, so all stands out from a dark ground.
+    "viridis": ((224, 212, 84), (176, 208, 58), (122, 196, 84), (72, 178, 112), (38, 152, 132), (40, 122, 140),
+                (50, 92, 140), (62, 60, 128), (66, 30, 104), (50, 4, 66)),
+    # Good and bad in two hues, for projectors that wash out shades; both ends are darker than the middle.
+    "blue_orange": ((20, 84, 168), (44, 112, 196), (84, 150, 214), (140, 188, 224), (200, 216, 222), (224, 206, 170),
+                    (222, 164, 96), (204, 116, 44), (166, 72, 18), (111, 36, 8), (70, 18, 4)),
+}  # fmt: skip
 NO_PARTNER: tuple[int, int, int] = (138, 150, 166)
 """Points whose true position lies where the other cloud has no points: no match can be right."""
 NO_MATCH: tuple[int, int, int] = (72, 84, 102)
@@ -58,9 +61,9 @@ def _oklab(rgb: Floats) -> Floats:
     return lab
 
 
-def _error_table() -> Colors:
+def _error_table(palette: Palette) -> Colors:
     """The ramp in 256 steps of equal perceived difference."""
-    anchors = np.asarray(_ERROR_ANCHORS, dtype=np.float64) / 255
+    anchors = np.asarray(_ANCHORS[palette], dtype=np.float64) / 255
     dense = np.stack(
         [np.interp(np.linspace(0, len(anchors) - 1, 4096), np.arange(len(anchors)), column) for column in anchors.T],
         axis=1,
@@ -72,16 +75,19 @@ def _error_table() -> Colors:
     return np.rint(table * 255).astype(np.uint8)
 
 
-ERROR_TABLE: Colors = _error_table()
-"""(256, 3); the first row means no error, the last the error scale or more."""
+ERROR_TABLES: dict[Palette, Colors] = {palette: _error_table(palette) for palette in _ANCHORS}
+"""(256, 3) each; the first row means no error, the last the error scale or more."""
 
 
-def error_colors(errors: npt.ArrayLike, *, scale: float, has_partner: npt.NDArray[np.bool_] | None = None) -> Colors:
+def error_colors(
+    errors: npt.ArrayLike, *, scale: float, palette: Palette, has_partner: npt.NDArray[np.bool_] | None = None
+) -> Colors:
     """Colours of matches or points by their error.
 
     Args:
         errors: In cloud units; nan where there is no match.
-        scale: Error from which on the colour is black, in cloud units.
+        scale: Error from which on the colour is the last of the palette, in cloud units.
+        palette: Which colours.
         has_partner: Which of them have a true partner; the others are grey. All have one if None.
 
     Returns:
@@ -90,7 +96,7 @@ def error_colors(errors: npt.ArrayLike, *, scale: float, has_partner: npt.NDArra
     values = np.asarray(errors, dtype=np.float64)
     missing = np.isnan(values)
     steps = np.clip(np.where(missing, 0.0, values) / scale, 0.0, 1.0) * (_LEVELS - 1)
-    colors: Colors = ERROR_TABLE[np.rint(steps).astype(np.int64)]
+    colors: Colors = ERROR_TABLES[palette][np.rint(steps).astype(np.int64)]
     if has_partner is not None:
         colors[~has_partner] = NO_PARTNER
     colors[missing] = NO_MATCH

@@ -249,7 +249,7 @@ def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettin
 
 
 def error_scale(analysis: Analysis, settings: ViewSettings) -> float:
-    """Error from which on the colour is black, in cloud units."""
+    """Error from which on the colour is the last of the palette, in cloud units."""
     return analysis.resolved.error_scale if settings.error_scale is None else settings.error_scale
 
 
@@ -273,7 +273,7 @@ def _errors_of_points(
     errors = np.full(count, np.nan)
     rows = kept_rows(table, settings)
     errors[table.correspondences.indices[rows, 0]] = measured.errors[rows]
-    return error_colors(errors, scale=scale, has_partner=partner)
+    return error_colors(errors, scale=scale, palette=settings.palette, has_partner=partner)
 
 
 def lines(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[npt.NDArray[np.int64], Colors]:
@@ -289,7 +289,10 @@ def lines(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> 
         settings,
     )
     scale = error_scale(analysis, settings)
-    colors = error_colors(scores.forward.errors[chosen], scale=scale, has_partner=scores.forward.has_partner[chosen])
+    colors = error_colors(
+        scores.forward.errors[chosen], scale=scale, palette=settings.palette,
+        has_partner=scores.forward.has_partner[chosen],
+    )  # fmt: skip
     if scores.reference is None:
         colors = np.tile(np.asarray(UNJUDGED, dtype=np.uint8), (len(chosen), 1))
     return analysis.matches.correspondences.indices[chosen], colors

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.settings import MAX_LINES, Coloring, Layout, LineChoice, ModelRequest, Pose, Reference
+from app.settings import MAX_LINES, Coloring, Layout, LineChoice, ModelRequest, Palette, Pose, Reference
 
 Length = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 
@@ -27,6 +27,7 @@ class SettingsPatch(BaseModel):
     line_count: Annotated[int, Field(ge=0, le=MAX_LINES)] = 300
     line_choice: LineChoice = "stratified"
     error_scale: Length | None = None
+    palette: Palette = "paper"
     point_size: Annotated[float, Field(gt=0, le=100, allow_inf_nan=False)] = 1.0
     layout: Layout = "side_by_side"
     pose: Pose | None = None

@@ -13,6 +13,7 @@ Layout = Literal["side_by_side", "overlaid"]
 Pose = Literal["loaded", "ground_truth", "estimate"]
 Reference = Literal["ground_truth", "estimate"]
 Coloring = Literal["error", "features", "original"]
+Palette = Literal["paper", "viridis", "blue_orange"]
 ModelRequest = Literal["auto", "object", "indoor"]
 
 MAX_LINES = 5_000
@@ -48,7 +49,9 @@ class ViewSettings:
     line_choice: LineChoice = "stratified"
     """Which matches are drawn: evenly by error, at random, or the best or the worst."""
     error_scale: float | None = None
-    """Error from which on the colour is black, in cloud units."""
+    """Error from which on the colour is the last of the palette, in cloud units."""
+    palette: Palette = "paper"
+    """Colours of errors."""
     point_size: float = 1.0
     """Relative to the size that just closes the surface."""
     layout: Layout = "side_by_side"
@@ -123,4 +126,5 @@ _CHOICES: dict[str, tuple[object, ...]] = {
     "pose": (None, *get_args(Pose)),
     "reference": (None, *get_args(Reference)),
     "coloring": get_args(Coloring),
+    "palette": get_args(Palette),
 }

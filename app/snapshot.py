@@ -333,7 +333,7 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings)
         return Legend(coloring, points, (), None, tuple(swatches))
     title = points if coloring == "error" else f"{points} · Lines: error"
     scale = error_scale(analysis, settings)
-    ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale)
+    ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale, palette=settings.palette)
     return Legend(coloring, title, tuple(_hex(color) for color in ramp.tolist()), scale, tuple(swatches))
 
 

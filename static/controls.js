@@ -8,7 +8,7 @@ const LENGTHS = ["support_radius", "lrf_radius", "voxel_size", "error_scale"];
 const DEFAULTS = {
   descriptor: "cgf", dim: null, support_radius: null, lrf_radius: null, voxel_size: null, mutual: false, max_ratio: null, line_count: 300,
   line_choice: "stratified", error_scale: null, point_size: 1, layout: "side_by_side", pose: null, reference: null,
-  coloring: "error",
+  coloring: "error", palette: "paper",
 };
 
 // Lengths and sizes are felt as ratios, so their sliders are logarithmic.
@@ -56,6 +56,7 @@ export function renderControls({ controls, unit, command, ...state }) {
   setUnlessBusy($("line_count"), linesToSlider(settings.line_count, controls.line_count));
   $("line_count-value").textContent = count(settings.line_count);
   setUnlessBusy($("line_choice"), settings.line_choice);
+  setUnlessBusy($("palette"), settings.palette);
   $("copy").disabled = command === "";
 }
 
@@ -93,8 +94,9 @@ export function listenToControls(page) {
     $(`${name}-number`).addEventListener("change", (event) => limits() && typed(name, event.target, page));
   }
   $("pair").addEventListener("change", (event) => change({ pair: Number(event.target.value) }));
-  $("descriptor").addEventListener("change", (event) => change({ descriptor: event.target.value }));
-  $("line_choice").addEventListener("change", (event) => change({ line_choice: event.target.value }));
+  for (const name of ["descriptor", "line_choice", "palette"]) {
+    $(name).addEventListener("change", (event) => change({ [name]: event.target.value }));
+  }
   $("mutual").addEventListener("change", (event) => change({ mutual: event.target.checked }));
   $("max_ratio").addEventListener("input", (event) => {
     const ratio = Number(event.target.value);

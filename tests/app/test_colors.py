@@ -1,14 +1,26 @@
+from typing import get_args
+
 import numpy as np
 import pytest
 
 from app import colors
+from app.settings import Palette
 
 LARGEST_STEP_OF_A_LINE = 3
 """Of 255: eight bits cannot undo the tone mapping better than that."""
 
 
+PALETTES = get_args(Palette)
+# What is seen with no cones for long, middle and short waves: Machado et al. 2009, severity 1, for linear RGB.
+COLOUR_BLIND = {
+    "protan": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deutan": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
+    "tritan": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
+}
+
+
 def test_error_colours_run_from_light_to_black() -> None:
-    shown = colors.error_colors(np.linspace(0, 0.25, 100), scale=0.25)
+    shown = colors.error_colors(np.linspace(0, 0.25, 100), scale=0.25, palette="paper")
     lightness = shown.astype(float) @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness) <= 0).all()
     assert shown[-1].tolist() == [0, 0, 0]
@@ -16,11 +28,24 @@ def test_error_colours_run_from_light_to_black() -> None:
 
 
 def test_errors_beyond_the_scale_are_black() -> None:
-    assert colors.error_colors([0.25, 0.3, 1e9], scale=0.25).max() == 0
+    assert colors.error_colors([0.25, 0.3, 1e9], scale=0.25, palette="paper").max() == 0
 
 
-def test_neighbouring_errors_differ_by_equal_perceived_steps() -> None:
-    lab = colors._oklab(colors.ERROR_TABLE / 255)
+@pytest.mark.parametrize("palette", PALETTES)
+@pytest.mark.parametrize("kind", COLOUR_BLIND)
+def test_errors_a_quarter_of_the_scale_apart_differ_for_colour_blind_people(palette: Palette, kind: str) -> None:
+    table = colors.ERROR_TABLES[palette][::8] / 255
+    linear = np.where(table <= 0.04045, table / 12.92, ((table + 0.055) / 1.055) ** 2.4)
+    seen = np.clip(linear @ np.array(COLOUR_BLIND[kind]).T, 0, 1)
+    lab = colors._oklab(np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055))
+    apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
+    rows, columns = np.triu_indices(len(table), k=8)
+    assert apart[rows, columns].min() > 0.1
+
+
+@pytest.mark.parametrize("palette", PALETTES)
+def test_neighbouring_errors_differ_by_equal_perceived_steps(palette: Palette) -> None:
+    lab = colors._oklab(colors.ERROR_TABLES[palette] / 255)
     steps = np.linalg.norm(lab[8::8] - lab[:-8:8], axis=1)
     # Next to black, eight bits are too coarse for equal steps.
     visible = steps[:-2]
@@ -28,17 +53,20 @@ def test_neighbouring_errors_differ_by_equal_perceived_steps() -> None:
 
 
 def test_points_without_partner_or_match_have_their_own_colours() -> None:
-    shown = colors.error_colors([0.0, 0.0, np.nan], scale=1.0, has_partner=np.array([True, False, False]))
-    assert shown.tolist() == [list(colors.ERROR_TABLE[0]), list(colors.NO_PARTNER), list(colors.NO_MATCH)]
+    partner = np.array([True, False, False])
+    shown = colors.error_colors([0.0, 0.0, np.nan], scale=1.0, palette="paper", has_partner=partner)
+    assert shown.tolist() == [colors.ERROR_TABLES["paper"][0].tolist(), [*colors.NO_PARTNER], [*colors.NO_MATCH]]
 
 
-def test_the_special_colours_are_not_on_the_ramp() -> None:
-    for special in (colors.NO_PARTNER, colors.NO_MATCH, colors.UNJUDGED):
-        assert np.abs(colors.ERROR_TABLE.astype(int) - special).max(axis=1).min() > 24
+@pytest.mark.parametrize("palette", PALETTES)
+def test_the_special_colours_are_not_on_the_ramp(palette: Palette) -> None:
+    # Where lines are unjudged there are no errors to show.
+    for special in (colors.NO_PARTNER, colors.NO_MATCH):
+        assert np.abs(colors.ERROR_TABLES[palette].astype(int) - special).max(axis=1).min() > 24
 
 
 def test_lines_look_like_points_on_the_screen() -> None:
-    wanted = np.concatenate([colors.ERROR_TABLE, [colors.NO_PARTNER, colors.NO_MATCH, colors.UNJUDGED]])
+    wanted = np.concatenate([*colors.ERROR_TABLES.values(), [colors.NO_PARTNER, colors.NO_MATCH, colors.UNJUDGED]])
     shown = colors.tone_mapped(colors.line_colors(wanted.astype(np.uint8)))
     assert np.abs(shown.astype(int) - wanted).max() <= LARGEST_STEP_OF_A_LINE
 
