@@ -11,6 +11,10 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 _SPACING_QUERIES = 5_000
+_SPACING_LARGE = 1_000_000
+_SPACING_PLACES = 64
+_SPACING_CELL = 500
+"""Points of a cell on average: few of them lie at its border."""
 
 
 def build_tree(points: Float64[np.ndarray, "N 3"]) -> "cKDTree":
@@ -53,11 +57,31 @@ def overlap_mask(
 def median_spacing(points: Float64[np.ndarray, "N 3"]) -> float:
     """Median distance from a point to its nearest other point, in cloud units.
 
-    Clouds of more than 5,000 points are asked at 5,000 evenly spread rows. Repeated points count once
-    where most points are repeated. 0 for fewer than 2 distinct points.
+    Clouds of more than 5,000 points are asked at 5,000 evenly spread rows, and of more than a million at 64
+    places spread likewise. Repeated points count once where most points are repeated. 0 for fewer than 2
+    distinct points.
     """
+    if len(points) > _SPACING_LARGE and (points != points[0]).any():
+        points = _samples_of_surface(points)
     spacing = _median_nearest(points)
     return spacing if spacing > 0 else _median_nearest(np.unique(points, axis=0))
+
+
+def _samples_of_surface(points: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "K 3"]:
+    """All points of some cells of a coarse grid: complete neighbourhoods but at the borders of the cells."""
+    low, extent = points.min(axis=0), np.ptp(points, axis=0).max()
+    places = np.linspace(0, len(points) - 1, _SPACING_PLACES).astype(np.int64)
+    for cells in (64, 32, 16, 8, 4, 2):
+        keys = np.zeros(len(points), dtype=np.int64)
+        for axis in range(3):
+            keys *= cells
+            keys += np.minimum((points[:, axis] - low[axis]) * (cells / extent), cells - 1).astype(np.int64)
+        chosen = np.zeros(cells**3, dtype=np.bool_)
+        chosen[keys[places]] = True
+        found = chosen[keys]
+        if np.count_nonzero(found) >= _SPACING_CELL * np.count_nonzero(chosen):
+            return points[found]
+    return points
 
 
 def _median_nearest(points: Float64[np.ndarray, "N 3"]) -> float:

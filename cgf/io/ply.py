@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from cgf.checks import InputError
-from cgf.io.raw import RawCloud, decode_colors, parse_rows, to_float64
+from cgf.io.raw import RawCloud, decode_colors, parse_rows
 from cgf.types import PointCloud
 
 _TYPES = {
@@ -59,18 +59,16 @@ def read_ply(path: Path) -> RawCloud:
     data = path.read_bytes()
     header = _parse_header(data, path)
     vertices, faces = _read_binary(data, header, path) if header.order else _read_text(data, header, path)
-    points = _columns(vertices, ("x", "y", "z"))
+    points = _numbers(vertices, ("x", "y", "z"))
     if points is None:
         raise InputError(
             f"{path} must have a vertex element with x, y and z, got {', '.join(vertices)[:80] or 'no vertices'!a}"
         )
-    points = to_float64(points)
-    normals = _columns(vertices, ("nx", "ny", "nz"))
     colors = _columns(vertices, ("red", "green", "blue"))
     colors = _columns(vertices, ("diffuse_red", "diffuse_green", "diffuse_blue")) if colors is None else colors
     return RawCloud(
         points=points,
-        normals=None if normals is None else to_float64(normals),
+        normals=_numbers(vertices, ("nx", "ny", "nz")),
         colors=None if colors is None else decode_colors(colors),
         faces=faces,
         viewpoint=_scanner_position(points) if header.is_cyberware else None,
@@ -326,3 +324,14 @@ def _columns(table: dict[str, np.ndarray], names: tuple[str, str, str]) -> np.nd
     if not all(name in table for name in names):
         return None
     return np.stack([table[name] for name in names], axis=1)
+
+
+def _numbers(table: dict[str, np.ndarray], names: tuple[str, str, str]) -> Float64[np.ndarray, "N 3"] | None:
+    """Three columns in double precision; the odd NaN of a damaged file is no cause for a warning."""
+    if not all(name in table for name in names):
+        return None
+    rows = np.empty((len(table[names[0]]), 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for column, name in enumerate(names):
+            rows[:, column] = table[name]
+    return rows

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from cgf.geometry import neighbors
 from cgf.geometry.neighbors import median_spacing, nearest, overlap_mask
 
 
@@ -14,6 +15,19 @@ def test_spacing_of_a_lattice_is_its_step():
 
 def test_spacing_of_a_large_cloud_asks_only_some_points():
     np.testing.assert_allclose(median_spacing(lattice(80, 0.5)), 0.5)
+
+
+@pytest.mark.parametrize("flat", [0, 1], ids=["surface", "volume"])
+def test_spacing_of_a_huge_cloud_asks_only_some_places(flat, monkeypatch):
+    points = np.random.default_rng(5).uniform(0, 40, size=(200_000, 3)) * [1, 1, flat]
+    exact = median_spacing(points)
+    monkeypatch.setattr(neighbors, "_SPACING_LARGE", 100_000)
+    np.testing.assert_allclose(median_spacing(points), exact, rtol=0.05)
+
+
+def test_spacing_of_a_huge_cloud_of_one_point_is_zero(monkeypatch):
+    monkeypatch.setattr(neighbors, "_SPACING_LARGE", 3)
+    assert median_spacing(np.ones((7, 3))) == 0
 
 
 def test_spacing_counts_repeated_points_once():

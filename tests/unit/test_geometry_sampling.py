@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from cgf.geometry.sampling import voxel_downsample
+from cgf.geometry import sampling
+from cgf.geometry.sampling import voxel_downsample, voxel_rows
 from cgf.types import PointCloud
 
 
@@ -41,6 +42,36 @@ def test_precision_survives_map_coordinates():
     here = voxel_downsample(PointCloud(points), 0.25)
     there = voxel_downsample(PointCloud(points + far), 0.25)
     np.testing.assert_allclose(there.points - far, here.points, atol=2e-9)
+
+
+@pytest.mark.parametrize("block", [1, 7, 1 << 17])
+def test_centroids_are_the_same_to_the_last_bit_in_any_order_and_in_any_blocks(block, monkeypatch):
+    rng = np.random.default_rng(3)
+    points, normals = rng.normal(size=(400, 3)), rng.normal(size=(400, 3))
+    order = rng.permutation(400)
+    whole = voxel_downsample(PointCloud(points, normals=normals), 0.8)
+    monkeypatch.setattr(sampling, "_BLOCK", block)
+    shuffled = voxel_downsample(PointCloud(points[order], normals=normals[order]), 0.8)
+    np.testing.assert_array_equal(shuffled.points, whole.points)
+    np.testing.assert_array_equal(shuffled.normals, whole.normals)
+
+
+def test_a_point_alone_in_its_voxel_stays_where_it_is():
+    points = np.random.default_rng(3).uniform(0, 1, size=(20, 3))
+    reduced = voxel_downsample(PointCloud(points), 1e-3)
+    np.testing.assert_array_equal(reduced.points, points[np.lexsort(np.floor(points / 1e-3).T[::-1])])
+
+
+def test_more_voxels_than_an_integer_can_number_are_told_apart():
+    points = np.array([[1e5, 1e5, 1e5], [-1e5, 0, 0], [1e5, 1e5, 1e5 + 4e-4], [-1e5, 0, 4e-5]])
+    reduced = voxel_downsample(PointCloud(points), 1e-4)
+    np.testing.assert_allclose(reduced.points, [[-1e5, 0, 2e-5], [1e5, 1e5, 1e5], [1e5, 1e5, 1e5 + 4e-4]])
+
+
+def test_the_first_row_of_each_voxel():
+    points = np.array([[2.5, 0, 0], [0.5, 0, 0], [2.1, 0, 0], [-0.5, 0, 0], [0.1, 0, 0]])
+    np.testing.assert_array_equal(voxel_rows(points, 1.0), [0, 1, 3])
+    assert voxel_rows(np.zeros((0, 3)), 1.0).shape == (0,)
 
 
 def test_empty_clouds_stay_empty():
