@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from app.jobs import Job
 from app.settings import Reference, ViewSettings
+from app.shown import Shown, choose_shown
 from cgf import pipeline
 from cgf.evaluation.matches import MatchErrors, match_errors
 from cgf.evaluation.metrics import has_partner
@@ -23,7 +24,7 @@ from cgf.types import Features, Pair, PointCloud, RegistrationResult, Transform
 Value = TypeVar("Value")
 Mask = npt.NDArray[np.bool_]
 
-_KEPT = {"load": 3, "prepare": 6, "describe": 8, "match": 24, "register": 64}
+_KEPT = {"load": 3, "prepare": 6, "show": 6, "describe": 8, "match": 24, "register": 64}
 """How many results of each stage are kept; features are the largest, 33 MB for 65,000 points in 128 dimensions."""
 
 
@@ -59,6 +60,9 @@ class Analysis:
     source: PointCloud
     """Prepared: rows of it are what features and matches count."""
     target: PointCloud
+    source_shown: Shown
+    """The points that are drawn, which borrow their colours from prepared ones."""
+    target_shown: Shown
     given_estimate: Transform | None = None
     """A pose brought along to be diagnosed, in place of one computed here."""
     source_features: Features | None = None
@@ -140,10 +144,15 @@ class Analyst:
             key = (index, side, resolved.preparation_key)
             return self._cache.get("prepare", key, lambda: pipeline.prepare(cloud, resolved))
 
+        def show(side: str, cloud: PointCloud, prepared: PointCloud) -> Shown:
+            key = (index, side, resolved.preparation_key)
+            return self._cache.get("show", key, lambda: choose_shown(cloud, prepared))
+
         source, target = prepare("source", pair.source), prepare("target", pair.target)
+        source_shown, target_shown = show("source", pair.source, source), show("target", pair.target, target)
         # A pose was given for the pair that was opened with it.
         estimate = self._given_estimate if index == 0 else None
-        return Analysis(index, pair, resolved, source, target, given_estimate=estimate)
+        return Analysis(index, pair, resolved, source, target, source_shown, target_shown, given_estimate=estimate)
 
     def _described(self, analysis: Analysis, job: Job) -> Analysis:
         resolved = analysis.resolved

@@ -23,6 +23,7 @@ from app.colors import (
     shaded_colors,
 )
 from app.settings import Pose, ViewSettings
+from app.shown import Shown
 from cgf.evaluation.matches import MatchErrors
 from cgf.geometry import transforms
 from cgf.matching import MatchTable
@@ -51,6 +52,8 @@ class CloudPicture:
 
     points: Single
     """About its own centre; the same array as long as the points do not change."""
+    prepared_rows: npt.NDArray[np.int64]
+    """Row of the prepared cloud that each point borrows its colour from."""
     colors: Colors
     rotation: Floats
     position: Floats
@@ -106,10 +109,14 @@ class Picture:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """The parts of a picture that depend on the prepared clouds alone."""
+    """The parts of a picture that depend on the clouds alone."""
 
     source_points: Single
+    """Those drawn."""
     target_points: Single
+    source_prepared: Single
+    """Those that matches connect, and that the layout goes by."""
+    target_prepared: Single
     source_centre: Floats
     target_centre: Floats
     scale: float
@@ -119,18 +126,24 @@ class Placed:
 
 
 def place(analysis: Analysis) -> Placed:
-    """Centre and scale the prepared clouds, and find how a person would hold them."""
+    """Centre and scale the clouds, and find how a person would hold them."""
     source, target = analysis.source, analysis.target
     scale = EXTENT / max(source.diameter, target.diameter)
     centres = [(cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2 for cloud in (source, target)]
     up = up_direction(target, room=analysis.resolved.model == "indoor")
+
+    def centred(points: Floats, centre: Floats) -> Single:
+        return ((points - centre) * scale).astype(np.float32)
+
     return Placed(
-        source_points=((source.points - centres[0]) * scale).astype(np.float32),
-        target_points=((target.points - centres[1]) * scale).astype(np.float32),
+        source_points=centred(analysis.source_shown.cloud.points, centres[0]),
+        target_points=centred(analysis.target_shown.cloud.points, centres[1]),
+        source_prepared=centred(source.points, centres[0]),
+        target_prepared=centred(target.points, centres[1]),
         source_centre=centres[0],
         target_centre=centres[1],
         scale=scale,
-        spacing=analysis.resolved.spacing * scale,
+        spacing=max(analysis.source_shown.spacing, analysis.target_shown.spacing) * scale,
         up=up,
         direction=view_direction(target, up),
     )
@@ -198,21 +211,22 @@ def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, plac
     rotation = pose[:3, :3]
     position = (transforms.apply(pose, placed.source_centre[None])[0] - placed.target_centre) * placed.scale
     right = rightward(placed.up, placed.direction)
-    moved = placed.source_points @ rotation.T + position
+    moved = placed.source_prepared @ rotation.T + position
     if settings.layout == "side_by_side":
-        shift = (placed.target_points @ right).min() - GAP * EXTENT - (moved @ right).max()
+        shift = (placed.target_prepared @ right).min() - GAP * EXTENT - (moved @ right).max()
         position = position + shift * right
         moved = moved + shift * right
     ends, colors = lines(analysis, scores, settings)
-    starts = placed.source_points[ends[:, 0]] @ rotation.T + position
-    line_points = np.stack([starts, placed.target_points[ends[:, 1]]], axis=1)
+    starts = placed.source_prepared[ends[:, 0]] @ rotation.T + position
+    line_points = np.stack([starts, placed.target_prepared[ends[:, 1]]], axis=1)
+    source_rows, target_rows = analysis.source_shown.prepared_rows, analysis.target_shown.prepared_rows
     return Picture(
-        source=CloudPicture(placed.source_points, source_colors, rotation, position),
-        target=CloudPicture(placed.target_points, target_colors, np.eye(3), np.zeros(3)),
+        source=CloudPicture(placed.source_points, source_rows, source_colors, rotation, position),
+        target=CloudPicture(placed.target_points, target_rows, target_colors, np.eye(3), np.zeros(3)),
         point_size=POINT_RADIUS * placed.spacing * settings.point_size,
         line_points=line_points.astype(np.float32),
         line_colors=colors,
-        view=_view(placed, np.concatenate([moved, placed.target_points])),
+        view=_view(placed, np.concatenate([moved, placed.target_prepared])),
         scene=(analysis.index, settings.layout, pose_name, placed),
     )
 
@@ -227,25 +241,36 @@ def _view(placed: Placed, points: Floats) -> View:
 
 
 def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors]:
-    """Colours of both clouds as chosen, or what comes closest before the stages for that are done."""
-    source_features, target_features = analysis.source_features, analysis.target_features
-    if settings.coloring != "original" and source_features is not None and target_features is not None:
-        if settings.coloring == "error" and scores is not None and scores.reference is not None:
-            assert analysis.matches is not None
-            assert analysis.back_matches is not None
-            scale = error_scale(analysis, settings)
-            return (
-                _errors_of_points(len(analysis.source), analysis.matches, scores.forward, scores.source_partner,
-                                  settings, scale),
-                _errors_of_points(len(analysis.target), analysis.back_matches, scores.back, scores.target_partner,
-                                  settings, scale),
-            )  # fmt: skip
-        basis = feature_basis(source_features.vectors, target_features.vectors)
+    """Colours of the points drawn, as chosen, or what comes closest before the stages for that are done."""
+    prepared = _prepared_colors(analysis, scores, settings)
+    if prepared is None:
         return (
-            _spread(source_features, feature_colors(source_features.vectors, basis), len(analysis.source)),
-            _spread(target_features, feature_colors(target_features.vectors, basis), len(analysis.target)),
+            _own_colors(analysis.source_shown, analysis.source, SOURCE_TINT),
+            _own_colors(analysis.target_shown, analysis.target, TARGET_TINT),
         )
-    return _own_colors(analysis.source, SOURCE_TINT), _own_colors(analysis.target, TARGET_TINT)
+    return prepared[0][analysis.source_shown.prepared_rows], prepared[1][analysis.target_shown.prepared_rows]
+
+
+def _prepared_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors] | None:
+    """Colours of the prepared points by error or features; None where the points' own are to be shown."""
+    source_features, target_features = analysis.source_features, analysis.target_features
+    if settings.coloring == "original" or source_features is None or target_features is None:
+        return None
+    if settings.coloring == "error" and scores is not None and scores.reference is not None:
+        assert analysis.matches is not None
+        assert analysis.back_matches is not None
+        scale = error_scale(analysis, settings)
+        return (
+            _errors_of_points(len(analysis.source), analysis.matches, scores.forward, scores.source_partner,
+                              settings, scale),
+            _errors_of_points(len(analysis.target), analysis.back_matches, scores.back, scores.target_partner,
+                              settings, scale),
+        )  # fmt: skip
+    basis = feature_basis(source_features.vectors, target_features.vectors)
+    return (
+        _spread(source_features, feature_colors(source_features.vectors, basis), len(analysis.source)),
+        _spread(target_features, feature_colors(target_features.vectors, basis), len(analysis.target)),
+    )
 
 
 def error_scale(analysis: Analysis, settings: ViewSettings) -> float:
@@ -253,10 +278,11 @@ def error_scale(analysis: Analysis, settings: ViewSettings) -> float:
     return analysis.resolved.error_scale if settings.error_scale is None else settings.error_scale
 
 
-def _own_colors(cloud: PointCloud, tint: tuple[int, int, int]) -> Colors:
-    if cloud.colors is not None and are_colors_usable(cloud.colors):
-        return cloud.colors
-    return shaded_colors(tint, cloud.points, cloud.normals, viewpoint=cloud.viewpoint)
+def _own_colors(shown: Shown, prepared: PointCloud, tint: tuple[int, int, int]) -> Colors:
+    if shown.cloud.colors is not None and are_colors_usable(shown.cloud.colors):
+        return shown.cloud.colors
+    shades = shaded_colors(tint, prepared.points, prepared.normals, viewpoint=prepared.viewpoint)
+    return shades[shown.prepared_rows]
 
 
 def _spread(features: Features, colors: Colors, count: int) -> Colors:

@@ -292,12 +292,14 @@ class Session:
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
         messages += snapshots.messages_of(analysis, scores, numbers, settings)
         sides = (
-            (analysis.pair.source, analysis.source, analysis.source_features),
-            (analysis.pair.target, analysis.target, analysis.target_features),
+            (analysis.pair.source, analysis.source_shown, analysis.source, analysis.source_features),
+            (analysis.pair.target, analysis.target_shown, analysis.target, analysis.target_features),
         )
         source, target = (
-            CloudInfo(loaded.name, len(loaded), len(prepared), None if features is None else len(features))
-            for loaded, prepared, features in sides
+            CloudInfo(
+                loaded.name, len(loaded), len(shown.cloud), len(prepared), None if features is None else len(features)
+            )
+            for loaded, shown, prepared, features in sides
         )
         choice = analysis.resolved.choice
         return Snapshot(

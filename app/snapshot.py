@@ -47,8 +47,10 @@ class CloudInfo:
     name: str
     points: int
     """In the file."""
+    shown: int
+    """Drawn: fewer where the file has very many."""
     prepared: int
-    """After downsampling."""
+    """After downsampling: those that features and matches count."""
     features: int | None
 
 
@@ -322,8 +324,9 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings)
             swatches.append(Swatch(_hex(NO_MATCH), "no feature"))
     else:
         points = "Points: own colours"
-        for side, cloud, tint in (("source", analysis.source, SOURCE_TINT), ("target", analysis.target, TARGET_TINT)):
-            if cloud.colors is None or not are_colors_usable(cloud.colors):
+        sides = (("source", analysis.source_shown, SOURCE_TINT), ("target", analysis.target_shown, TARGET_TINT))
+        for side, shown, tint in sides:
+            if shown.cloud.colors is None or not are_colors_usable(shown.cloud.colors):
                 points = "Points: shaded"
                 swatches.append(Swatch(_hex(_facing(tint)), side))
     if scores is None:

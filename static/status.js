@@ -69,6 +69,9 @@ export function renderPair() {
   const apart = state.settings.layout === "side_by_side";
   for (const side of ["source", "target"]) {
     $(`tag-${side}`).hidden = !apart;
-    $(`tag-${side}`).textContent = `${side === "source" ? "Source" : "Target"} · ${count(state[side].prepared)} points`;
+    const { points, shown, prepared } = state[side];
+    $(`tag-${side}`).textContent = `${side === "source" ? "Source" : "Target"} · ${count(shown)} points`
+      + `${shown < points ? ` of ${count(points)}` : ""}${prepared < shown ? `, ${count(prepared)} described` : ""}`;
+    $(`tag-${side}`).title = "Points drawn; each has the colour of the nearest point that is described";
   }
 }

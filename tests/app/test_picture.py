@@ -6,6 +6,7 @@ import pytest
 from app.analysis import Analysis
 from app.picture import EXTENT, FIELD_OF_VIEW, View, choose_lines, draw, place, rightward, up_direction
 from app.settings import LineChoice, ViewSettings
+from app.shown import choose_shown
 from cgf.geometry.transforms import apply, move, rigid, rotation_about
 from cgf.pipeline import PairSettings, prepare, resolve
 from cgf.types import Pair, PointCloud
@@ -16,7 +17,9 @@ SETTINGS = ViewSettings()
 
 def analysis_of(pair: Pair) -> Analysis:
     resolved = resolve(PairSettings(), pair.source, pair.target)
-    return Analysis(0, pair, resolved, prepare(pair.source, resolved), prepare(pair.target, resolved))
+    source, target = prepare(pair.source, resolved), prepare(pair.target, resolved)
+    shown = choose_shown(pair.source, source), choose_shown(pair.target, target)
+    return Analysis(0, pair, resolved, source, target, *shown)
 
 
 def drawn(analysis: Analysis, settings: ViewSettings) -> tuple[np.ndarray, np.ndarray]:
@@ -31,10 +34,10 @@ def test_overlaid_in_the_true_pose_the_clouds_lie_where_the_pose_says() -> None:
     analysis = analysis_of(hills())
     source, target = drawn(analysis, replace(SETTINGS, layout="overlaid", pose="ground_truth"))
     assert analysis.truth is not None
-    moved = apply(analysis.truth, analysis.source.points)
+    moved = apply(analysis.truth, analysis.source_shown.cloud.points)
     # One scale and one shift for both.
     scale = EXTENT / max(analysis.source.diameter, analysis.target.diameter)
-    np.testing.assert_allclose(source - target[0], (moved - analysis.target.points[0]) * scale, atol=1e-5)
+    np.testing.assert_allclose(source - target[0], (moved - analysis.target_shown.cloud.points[0]) * scale, atol=1e-5)
 
 
 def test_clouds_in_survey_coordinates_keep_their_shape() -> None:

@@ -1,0 +1,59 @@
+"""Which points are drawn, and whose colours they borrow."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.analysis import Analysis
+from app.picture import draw, place
+from app.settings import ViewSettings
+from app.shown import choose_shown
+from cgf.geometry.sampling import voxel_downsample
+from cgf.pipeline import PairSettings, describe, prepare, resolve
+from cgf.types import PointCloud
+from tests.app.scenes import bumpy_cloud, hills
+
+
+def test_every_loaded_point_is_shown_and_borrows_from_the_nearest_prepared_one() -> None:
+    loaded = bumpy_cloud(side=40)
+    prepared = voxel_downsample(loaded, 0.3)
+    shown = choose_shown(loaded, prepared)
+    assert shown.cloud is loaded
+    distances = np.linalg.norm(loaded.points[:, None] - prepared.points[None], axis=2)
+    np.testing.assert_array_equal(shown.prepared_rows, distances.argmin(axis=1))
+
+
+@pytest.mark.parametrize("limit", [200, 900])
+def test_a_cloud_of_too_many_points_is_thinned_evenly(limit: int) -> None:
+    # Half of the square has ten times as many points.
+    rng = np.random.default_rng(0)
+    sparse, dense = rng.uniform(0, 1, size=(2_000, 3)), rng.uniform(0, 1, size=(20_000, 3)) - [1, 0, 0]
+    loaded = PointCloud(np.concatenate([sparse, dense]) * [1, 1, 0])
+    shown = choose_shown(loaded, loaded, limit=limit)
+    assert limit / 2 < len(shown.cloud) <= limit
+    left = np.count_nonzero(shown.cloud.points[:, 0] < 0)
+    assert 0.4 < left / len(shown.cloud) < 0.65
+    np.testing.assert_array_equal(loaded.points[shown.prepared_rows], shown.cloud.points)
+    assert shown.spacing == pytest.approx(limit**-0.5, rel=0.5)
+
+
+def test_points_between_described_ones_have_their_colours() -> None:
+    pair = hills()
+    resolved = resolve(PairSettings(voxel_size=0.3, support_radius=1.0), pair.source, pair.target)
+    source, target = prepare(pair.source, resolved), prepare(pair.target, resolved)
+    shown = choose_shown(pair.source, source), choose_shown(pair.target, target)
+    analysis = Analysis(0, pair, resolved, source, target, *shown)
+    features = describe(source, resolved), describe(target, resolved)
+    described = replace(analysis, source_features=features[0], target_features=features[1])
+    placed = place(analysis)
+    before = draw(analysis, None, ViewSettings(coloring="features"), placed)
+    after = draw(described, None, ViewSettings(coloring="features"), placed)
+    for cloud, loaded, prepared in ((after.source, pair.source, source), (after.target, pair.target, target)):
+        assert len(cloud.points) == len(cloud.colors) == len(loaded) > 3 * len(prepared)
+        colors_of_row = np.zeros((len(prepared), 3), np.uint8)
+        colors_of_row[cloud.prepared_rows] = cloud.colors
+        np.testing.assert_array_equal(cloud.colors, colors_of_row[cloud.prepared_rows])
+        assert len(np.unique(colors_of_row, axis=0)) > len(prepared) / 2
+    assert after.source.points is before.source.points
+    assert not np.array_equal(after.source.colors, before.source.colors)
