@@ -4,7 +4,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,13 +18,13 @@ from cgf.evaluation.matches import MatchErrors, match_errors
 from cgf.evaluation.metrics import has_partner
 from cgf.geometry import transforms
 from cgf.matching import MatchTable, filter_rows
-from cgf.pipeline import ResolvedSettings
+from cgf.pipeline import PairSettings, ResolvedSettings
 from cgf.types import Features, Pair, PointCloud, RegistrationResult, Transform
 
 Value = TypeVar("Value")
 Mask = npt.NDArray[np.bool_]
 
-_KEPT = {"load": 3, "prepare": 6, "show": 6, "describe": 8, "match": 24, "register": 64}
+_KEPT = {"load": 3, "correct": 3, "prepare": 6, "show": 6, "describe": 8, "match": 24, "register": 64}
 """How many results of each stage are kept; features are the largest, 33 MB for 65,000 points in 128 dimensions."""
 
 
@@ -55,7 +55,7 @@ class Analysis:
     index: int
     """Which of the opened pairs."""
     pair: Pair
-    """As loaded."""
+    """As loaded, with the scale and the normals that the settings ask for."""
     resolved: ResolvedSettings
     source: PointCloud
     """Prepared: rows of it are what features and matches count."""
@@ -128,8 +128,9 @@ class Analyst:
             Cancelled: The job is no longer wanted.
         """
         job.progress(0.0, "Loading the clouds")
-        pair = self._cache.get("load", settings.pair, lambda: self._load(settings.pair))
-        resolved = pipeline.resolve(settings.pair_settings(), pair.source, pair.target)
+        wanted = settings.pair_settings()
+        pair = self._corrected(settings.pair, wanted)
+        resolved = pipeline.resolve(wanted, pair.source, pair.target)
         job.progress(0.03, "Preparing the clouds")
         analysis = self._prepared(settings.pair, pair, resolved)
         show(analysis)
@@ -139,10 +140,19 @@ class Analyst:
         analysis = self._matched(analysis, job)
         show(analysis)
 
+    def _corrected(self, index: int, wanted: PairSettings) -> Pair:
+        pair = self._cache.get("load", index, lambda: self._load(index))
+
+        def correct() -> Pair:
+            source, target = pipeline.correct(wanted, pair.source, pair.target)
+            return replace(pair, source=source, target=target)
+
+        return self._cache.get("correct", (index, wanted.source_scale, wanted.normals), correct)
+
     def _prepared(self, index: int, pair: Pair, resolved: ResolvedSettings) -> Analysis:
-        def prepare(side: str, cloud: PointCloud) -> PointCloud:
+        def prepare(side: Literal["source", "target"], cloud: PointCloud) -> PointCloud:
             key = (index, side, resolved.preparation_key)
-            return self._cache.get("prepare", key, lambda: pipeline.prepare(cloud, resolved))
+            return self._cache.get("prepare", key, lambda: pipeline.prepare(cloud, resolved, side))
 
         def show(side: str, cloud: PointCloud, prepared: PointCloud) -> Shown:
             key = (index, side, resolved.preparation_key)

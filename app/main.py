@@ -107,7 +107,7 @@ def open_session(options: argparse.Namespace) -> "Session":
     sources = open_pairs(options)
     pair = sources[0].load()
     wanted = cli.feature_settings(options)
-    pipeline.resolve(wanted, pair.source, pair.target)
+    pipeline.resolve(wanted, *pipeline.correct(wanted, pair.source, pair.target))
     return Session(sources, ViewSettings.of_pair(wanted), given_estimate=_read_estimate(options))
 
 

@@ -4,7 +4,19 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.settings import MAX_LINES, Coloring, Layout, LineChoice, ModelRequest, Palette, Pose, Reference
+from app.settings import (
+    MAX_LINES,
+    Coloring,
+    Flip,
+    Layout,
+    LineChoice,
+    ModelRequest,
+    Normals,
+    Palette,
+    Pose,
+    Reference,
+)
+from cgf.pipeline import Unit
 
 Length = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 
@@ -22,6 +34,10 @@ class SettingsPatch(BaseModel):
     min_radius: Length | None = None
     lrf_radius: Length | None = None
     voxel_size: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] | None = None
+    unit: Unit = "m"
+    source_scale: Length = 1.0
+    normals: Normals = "stored"
+    flip_normals: Flip = "none"
     mutual: bool = False
     max_ratio: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
     line_count: Annotated[int, Field(ge=0, le=MAX_LINES)] = 300

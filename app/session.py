@@ -130,7 +130,10 @@ class Session:
             needs_work = settings.work_key != self._settings.work_key
             if needs_work and analysis is not None and settings.pair == analysis.index:
                 try:
-                    pipeline.resolve(settings.pair_settings(), analysis.pair.source, analysis.pair.target)
+                    wanted = settings.pair_settings()
+                    # A cloud of another scale is not there yet; the worker will say what does not suit it.
+                    if wanted.source_scale == analysis.resolved.corrections.source_scale:
+                        pipeline.resolve(wanted, analysis.pair.source, analysis.pair.target)
                 except ValueError as error:
                     raise InputError(_in_words_of_the_page(str(error))) from error
             self._settings = settings
@@ -290,7 +293,10 @@ class Session:
             )  # fmt: skip
         scores = self._scores()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
-        messages += snapshots.messages_of(analysis, scores, numbers, settings)
+        messages += [
+            replace(message, text=_in_words_of_the_page(message.text))
+            for message in snapshots.messages_of(analysis, scores, numbers, settings)
+        ]
         sides = (
             (analysis.pair.source, analysis.source_shown, analysis.source, analysis.source_features),
             (analysis.pair.target, analysis.target_shown, analysis.target, analysis.target_features),
@@ -339,6 +345,10 @@ def _command(pair: PairSource, settings: ViewSettings) -> str:
         ("--lrf-radius", settings.lrf_radius),
         ("--voxel", settings.voxel_size),
         ("--ratio", settings.max_ratio),
+        ("--unit", None if settings.unit == "m" else settings.unit),
+        ("--source-scale", None if settings.source_scale == 1 else settings.source_scale),
+        ("--normals", None if settings.normals == "stored" else settings.normals),
+        ("--flip-normals", None if settings.flip_normals == "none" else settings.flip_normals),
     ):
         if value is not None:
             options += [option, value]
@@ -355,6 +365,9 @@ _PAGE_WORDS = {
     "--ratio": "Ratio",
     "--descriptor": "Descriptor",
     "--dim": "Dimensions",
+    "--unit": "Unit",
+    "--source-scale": "Source scale",
+    "--model": "Model",
 }
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from cgf.pipeline import PairSettings
+from cgf.pipeline import METRES, PairSettings, Unit
 
 LineChoice = Literal["stratified", "random", "best", "worst"]
 Layout = Literal["side_by_side", "overlaid"]
@@ -14,6 +14,8 @@ Pose = Literal["loaded", "ground_truth", "estimate"]
 Reference = Literal["ground_truth", "estimate"]
 Coloring = Literal["error", "features", "original"]
 Palette = Literal["paper", "viridis", "blue_orange"]
+Normals = Literal["stored", "estimated"]
+Flip = Literal["none", "source", "target", "both"]
 ModelRequest = Literal["auto", "object", "indoor"]
 
 MAX_LINES = 5_000
@@ -40,6 +42,14 @@ class ViewSettings:
     """Radius of the neighbourhood that gives the local frame, in cloud units."""
     voxel_size: float | None = None
     """Edge of the voxels for downsampling, in cloud units; 0 keeps every point."""
+    unit: Unit = "m"
+    """Of the clouds' coordinates."""
+    source_scale: float = 1.0
+    """The source's coordinates are multiplied by this first."""
+    normals: Normals = "stored"
+    """`estimated` ignores those that the clouds bring."""
+    flip_normals: Flip = "none"
+    """Clouds whose normals are turned round."""
     mutual: bool = False
     """Keep only matches that are each other's nearest."""
     max_ratio: float | None = None
@@ -107,7 +117,12 @@ class ViewSettings:
         if new.pair != self.pair:
             # Lengths belong to one pair's units and extent.
             lengths: dict[str, Any] = {name: changes.get(name) for name in _LENGTHS}
-            new = replace(new, **lengths)
+            new = replace(
+                new,
+                **lengths,
+                source_scale=changes.get("source_scale", 1.0),
+                flip_normals=changes.get("flip_normals", "none"),
+            )
         if new.error_scale is not None and not (math.isfinite(new.error_scale) and new.error_scale > 0):
             raise ValueError(f"error_scale must be positive, got {new.error_scale:g}")
         return replace(
@@ -121,6 +136,9 @@ _OF_PAIR = tuple({field.name for field in fields(PairSettings)} & {field.name fo
 _LENGTHS = ("support_radius", "min_radius", "lrf_radius", "voxel_size", "error_scale")
 _CHOICES: dict[str, tuple[object, ...]] = {
     "model": get_args(ModelRequest),
+    "unit": tuple(METRES),
+    "normals": get_args(Normals),
+    "flip_normals": get_args(Flip),
     "line_choice": get_args(LineChoice),
     "layout": get_args(Layout),
     "pose": (None, *get_args(Pose)),

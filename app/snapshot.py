@@ -61,6 +61,8 @@ class Unit:
     name: Literal["m", "units"]
     diameter: float
     """Of the larger cloud; lengths of objects are understood as shares of it."""
+    metres: float = 1.0
+    """Length of one unit of the clouds, where `name` is m."""
 
 
 @dataclass(frozen=True)
@@ -212,13 +214,14 @@ class Snapshot:
 
 def unit_of(analysis: Analysis) -> Unit:
     """Metres for rooms, else whatever the file has."""
-    return Unit("m" if analysis.resolved.model == "indoor" else "units", analysis.resolved.diameter)
+    resolved = analysis.resolved
+    return Unit("m" if resolved.model == "indoor" else "units", resolved.diameter, resolved.unit_m)
 
 
 def controls_of(analysis: Analysis) -> Controls:
     """Ranges that make sense for this pair."""
     resolved = analysis.resolved
-    defaults = MODEL_DEFAULTS[resolved.model].scaled(resolved.diameter)
+    defaults = MODEL_DEFAULTS[resolved.model].scaled(resolved.diameter, resolved.unit_m)
     poses: list[Pose] = ["loaded"]
     references: list[Reference] = []
     if analysis.truth is not None:

@@ -86,6 +86,16 @@ def add_feature_options(parser: argparse.ArgumentParser) -> None:
         "--voxel", type=float, metavar="V", help="edge of the voxels for downsampling; 0 keeps every point"
     )
 
+    group = parser.add_argument_group("corrections of the clouds")
+    group.add_argument("--unit", choices=("m", "cm", "mm", "ft", "in"), help="of the coordinates (default: m)")
+    group.add_argument(
+        "--source-scale", type=float, metavar="S", help="multiply the source's coordinates first; poses map the result"
+    )
+    group.add_argument(
+        "--normals", choices=("stored", "estimated"), help="estimated ignores those in the files (default: stored)"
+    )
+    group.add_argument("--flip-normals", choices=("none", "source", "target", "both"), help="turn normals round")
+
 
 def add_matching_options(parser: argparse.ArgumentParser) -> None:
     """Options for which matches are kept; `feature_settings` reads them, too."""
@@ -110,7 +120,8 @@ def feature_settings(options: argparse.Namespace) -> "PairSettings":
     fields = {
         "model": "model", "descriptor": "descriptor", "dim": "dim", "radius": "support_radius",
         "min_radius": "min_radius", "lrf_radius": "lrf_radius", "voxel": "voxel_size", "mutual": "mutual",
-        "ratio": "max_ratio", "weights": "weights", "seed": "seed",
+        "ratio": "max_ratio", "weights": "weights", "seed": "seed", "unit": "unit",
+        "source_scale": "source_scale", "normals": "normals", "flip_normals": "flip_normals",
     }  # fmt: skip
     given = {field: getattr(options, option, None) for option, field in fields.items()}
     return PairSettings(**{field: value for field, value in given.items() if value is not None})

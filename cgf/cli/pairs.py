@@ -40,7 +40,9 @@ def describe(options: argparse.Namespace) -> int:
     check_output(options.output, (".npz",))
     with progress_bar(options) as progress:
         raw = io.read_cloud(options.cloud, viewpoint=options.viewpoint, drop_invalid=options.drop_invalid)
-        settings = pipeline.resolve(feature_settings(options), raw, raw)
+        wanted = feature_settings(options)
+        raw, _ = pipeline.correct(wanted, raw, raw)
+        settings = pipeline.resolve(wanted, raw, raw)
         _note_choice(options, settings)
         cloud = pipeline.prepare(raw, settings)
         features = pipeline.at_dim(pipeline.describe(cloud, settings, progress=progress), settings)

@@ -63,10 +63,11 @@ class ModelDefaults:
     error_scale: float
     """Errors from here on are black in the paper's error figure."""
 
-    def scaled(self, diameter: float) -> "ModelDefaults":
-        """The same with every length in cloud units, for clouds of this diameter."""
-        if not self.relative:
-            return self
+    def scaled(self, diameter: float, unit_m: float = 1.0) -> "ModelDefaults":
+        """The same with every length in cloud units, for clouds of this diameter whose unit is so many metres."""
+        scale = diameter if self.relative else 1 / unit_m
+        if scale == 1:
+            return replace(self, relative=False)
         lengths = (
             "voxel_size",
             "support_radius",
@@ -77,7 +78,7 @@ class ModelDefaults:
             "precision_radius",
             "error_scale",
         )
-        return replace(self, relative=False, **{name: getattr(self, name) * diameter for name in lengths})
+        return replace(self, relative=False, **{name: getattr(self, name) * scale for name in lengths})
 
 
 MODEL_DEFAULTS: dict[ModelName, ModelDefaults] = {

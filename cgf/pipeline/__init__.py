@@ -1,15 +1,25 @@
 """From two clouds to correspondences and a motion: the only part that knows every stage.
 
-The stages in order: `resolve` settings, `prepare` each cloud, `describe` each, `match_features`, filter,
-`register_pair`. `run_pair` does them all; the viewer calls them one by one and keeps what has not changed, by the
-keys of `ResolvedSettings`. `inspect_point` and `rejections` look into what came out. Errors that a user can mend are
-`InputError`s and name the option of the command line.
+The stages in order: `correct` the clouds, `resolve` settings, `prepare` each cloud, `describe` each, `match_features`,
+filter, `register_pair`. `run_pair` does them all; the viewer calls them one by one and keeps what has not changed, by
+the keys of `ResolvedSettings`. `inspect_point` and `rejections` look into what came out. Errors that a user can mend
+are `InputError`s and name the option of the command line.
 """
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.pipeline.inspection import PointInspection, Surroundings, best_turn, far_modes, inspect_point
 from cgf.pipeline.rejection import REJECTIONS, Rejection, rejections
-from cgf.pipeline.settings import ModelChoice, PairSettings, ResolvedSettings, choose_model, resolve
+from cgf.pipeline.settings import (
+    METRES,
+    Corrections,
+    ModelChoice,
+    PairSettings,
+    ResolvedSettings,
+    Unit,
+    choose_model,
+    correct,
+    resolve,
+)
 from cgf.pipeline.stages import (
     PairResult,
     at_dim,
@@ -24,8 +34,10 @@ from cgf.pipeline.stages import (
 )
 
 __all__ = [
+    "METRES",
     "MODEL_DEFAULTS",
     "REJECTIONS",
+    "Corrections",
     "ModelChoice",
     "PairResult",
     "PairSettings",
@@ -33,9 +45,11 @@ __all__ = [
     "Rejection",
     "ResolvedSettings",
     "Surroundings",
+    "Unit",
     "at_dim",
     "best_turn",
     "choose_model",
+    "correct",
     "describe",
     "far_modes",
     "filtered_rows",

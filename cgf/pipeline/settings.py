@@ -1,6 +1,6 @@
 """What a person chooses, and every value that follows from it for two clouds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 from weakref import WeakKeyDictionary
@@ -19,6 +19,9 @@ ROOM = (2.75, 30.0)
 Fragments of 3DMatch scenes measure 2.4 to 4.8 m; common object scans, scaled to about 1.7 units an axis, up to 2.7.
 """
 ROOM_IN_MILLIMETRES = (1_000.0, 60_000.0)
+Unit = Literal["m", "cm", "mm", "ft", "in"]
+METRES: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
+"""Length of each unit."""
 FRAME_SPACINGS = 3.0
 """A frame needs 5 neighbours, which this many times the point spacing holds amply on a surface."""
 
@@ -49,6 +52,27 @@ class PairSettings:
     """Of the registration's random samples."""
     weights: Path | None = None
     """Of the descriptor `cgf`, written by `cgf train`; None takes those that come with the package."""
+    unit: Unit = "m"
+    """Of the clouds' coordinates; the indoor model needs to know it."""
+    source_scale: float = 1.0
+    """The source's coordinates are multiplied by this before anything else; every pose maps the scaled source."""
+    normals: Literal["stored", "estimated"] = "stored"
+    """`estimated` ignores the normals that the clouds bring."""
+    flip_normals: Literal["none", "source", "target", "both"] = "none"
+    """Clouds whose normals are turned round."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """What is mended in the clouds before they are described."""
+
+    source_scale: float = 1.0
+    normals: Literal["stored", "estimated"] = "stored"
+    flip_normals: Literal["none", "source", "target", "both"] = "none"
+
+    def flips(self, side: Literal["source", "target"]) -> bool:
+        """Whether the normals of that cloud are turned round."""
+        return self.flip_normals in (side, "both")
 
 
 @dataclass(frozen=True)
@@ -88,6 +112,9 @@ class ResolvedSettings:
     max_ratio: float | None
     seed: int
     weights: Path | None
+    unit_m: float = 1.0
+    """Metres that one unit of the clouds is long."""
+    corrections: Corrections = Corrections()
 
     @property
     def model(self) -> ModelName:
@@ -95,9 +122,9 @@ class ResolvedSettings:
         return self.choice.name
 
     @property
-    def preparation_key(self) -> tuple[float, float]:
-        """All that `prepare` depends on besides the cloud."""
-        return (self.voxel_size, self.normal_radius)
+    def preparation_key(self) -> tuple[object, ...]:
+        """All that `prepare` depends on besides the cloud as loaded."""
+        return (self.voxel_size, self.normal_radius, self.corrections)
 
     @property
     def description_key(self) -> tuple[object, ...]:
@@ -111,8 +138,8 @@ class ResolvedSettings:
         return (*self.description_key, self.dim)
 
 
-def choose_model(source: PointCloud, target: PointCloud, requested: str = "auto") -> ModelChoice:
-    """Take the indoor model for clouds of a room's extent in metres, else the one of relative scale.
+def choose_model(source: PointCloud, target: PointCloud, requested: str = "auto", *, unit: Unit = "m") -> ModelChoice:
+    """Take the indoor model for clouds of a room's extent, else the one of relative scale.
 
     Raises:
         InputError: `requested` is no model.
@@ -120,12 +147,13 @@ def choose_model(source: PointCloud, target: PointCloud, requested: str = "auto"
     if requested not in ("auto", *MODEL_DEFAULTS):
         raise InputError(f"--model must be auto, {' or '.join(MODEL_DEFAULTS)}, got {requested}")
     small, large = sorted((source.diameter, target.diameter))
-    room = ROOM[0] <= large <= ROOM[1]
+    span = large * METRES[unit]
+    room = ROOM[0] <= span <= ROOM[1]
     warning = None
-    if requested != "object" and ROOM_IN_MILLIMETRES[0] <= large <= ROOM_IN_MILLIMETRES[1]:
-        warning = f"The clouds span {large:,.0f} units; if this is a room in millimetres, divide by 1000."
+    if requested != "object" and unit == "m" and ROOM_IN_MILLIMETRES[0] <= large <= ROOM_IN_MILLIMETRES[1]:
+        warning = f"The clouds span {large:,.0f} units; if this is a room in millimetres, say so with --unit mm."
     elif requested == "indoor" and not room:
-        warning = f"The indoor model expects rooms in metres, but the clouds span {large:.3g} units."
+        warning = f"The indoor model expects rooms, but the clouds span {large:.3g} {unit}; choose --unit or --model."
     elif small * 50 < large:
         warning = f"One cloud is {large / small:,.0f} times as large as the other; do their units agree?"
     if requested == "indoor":
@@ -133,24 +161,43 @@ def choose_model(source: PointCloud, target: PointCloud, requested: str = "auto"
     if requested == "object":
         return ModelChoice("object", "Model object, as requested: lengths are shares of the diameter.", warning)
     if room:
-        return ModelChoice("indoor", f"Model indoor: the larger cloud spans {large:.3g} m, as rooms do.", warning)
+        return ModelChoice("indoor", f"Model indoor: the larger cloud spans {span:.3g} m, as rooms do.", warning)
     reason = (
-        f"Model object: the clouds span {large:.3g} units, not the {ROOM[0]:g} to {ROOM[1]:g} m of a room, "
+        f"Model object: the clouds span {span:.3g} units, not the {ROOM[0]:g} to {ROOM[1]:g} m of a room, "
         "so scale is relative."
     )
     return ModelChoice("object", reason, warning)
 
 
+def correct(settings: PairSettings, source: PointCloud, target: PointCloud) -> tuple[PointCloud, PointCloud]:
+    """Both clouds with the scale and the normals that `settings` ask for; normals are turned round by `prepare`.
+
+    Raises:
+        InputError: `settings.source_scale` is not positive.
+    """
+    scale = settings.source_scale
+    if not (np.isfinite(scale) and scale > 0):
+        raise InputError(f"--source-scale must be positive, got {scale:g}")
+    if scale != 1:
+        source = replace(source, points=source.points * scale, viewpoint=source.viewpoint * scale)
+    if settings.normals == "estimated":
+        source, target = replace(source, normals=None), replace(target, normals=None)
+    return source, target
+
+
 def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> ResolvedSettings:
-    """Fill in defaults for these clouds (as loaded, not prepared) and refuse what contradicts them.
+    """Fill in defaults for these clouds (corrected, not prepared) and refuse what contradicts them.
 
     Raises:
         InputError: A setting cannot be used; the text names the option, the value and one that works.
     """
     card = None if settings.weights is None else _card(settings)
-    choice = choose_model(source, target, settings.model if card is None else card.model)
+    if settings.unit not in METRES:
+        raise InputError(f"--unit must be one of {', '.join(METRES)}, got {settings.unit}")
+    unit_m = METRES[settings.unit]
+    choice = choose_model(source, target, settings.model if card is None else card.model, unit=settings.unit)
     diameter = max(source.diameter, target.diameter)
-    defaults = (MODEL_DEFAULTS[choice.name] if card is None else card.defaults()).scaled(diameter)
+    defaults = (MODEL_DEFAULTS[choice.name] if card is None else card.defaults()).scaled(diameter, unit_m)
     dim, computed_dim = _dimensions(settings, choice.name)
     voxel_size = _voxel_size(settings.voxel_size, defaults)
     points_apart = max(_spacing(source), _spacing(target))
@@ -201,6 +248,8 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
         max_ratio=settings.max_ratio,
         seed=settings.seed,
         weights=settings.weights,
+        unit_m=unit_m,
+        corrections=Corrections(settings.source_scale, settings.normals, settings.flip_normals),
     )
 
 

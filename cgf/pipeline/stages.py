@@ -1,8 +1,9 @@
 """The stages between two clouds and a motion, one function each, and `run_pair` for all of them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Int64
@@ -11,7 +12,7 @@ from cgf import descriptors
 from cgf.checks import InputError
 from cgf.descriptors.settings import DescriptorSettings
 from cgf.matching import MatchTable, filter_rows, match
-from cgf.pipeline.settings import PairSettings, ResolvedSettings, resolve
+from cgf.pipeline.settings import PairSettings, ResolvedSettings, correct, resolve
 from cgf.types import (
     Cancelled,
     Correspondences,
@@ -86,8 +87,13 @@ def load_pair(
     return Pair(f"{source.name} - {target.name}", source, target, pose)
 
 
-def prepare(cloud: PointCloud, settings: ResolvedSettings) -> PointCloud:
+def prepare(cloud: PointCloud, settings: ResolvedSettings, side: Literal["source", "target"] = "source") -> PointCloud:
     """Downsample, and estimate normals, turned to the viewpoint, where the cloud brings none.
+
+    Args:
+        cloud: As `correct` gives it.
+        settings: Say the voxel size, and of which side the normals are turned round.
+        side: Which of the two clouds it is.
 
     Raises:
         InputError: Fewer than 10 points are left.
@@ -107,7 +113,12 @@ def prepare(cloud: PointCloud, settings: ResolvedSettings) -> PointCloud:
             f"--voxel must leave {FEWEST_POINTS} points or more, got {len(prepared)} of the {len(cloud):,} of "
             f"{cloud.name or 'the cloud'} with {settings.voxel_size:.3g}; try {smaller:.2g}"
         )
-    return prepared if prepared.normals is not None else estimate_normals(prepared, radius=settings.normal_radius)
+    if prepared.normals is None:
+        prepared = estimate_normals(prepared, radius=settings.normal_radius)
+    if settings.corrections.flips(side):
+        assert prepared.normals is not None
+        prepared = replace(prepared, normals=-prepared.normals)
+    return prepared
 
 
 def describe(
@@ -244,9 +255,10 @@ def run_pair(
         InputError: A setting cannot be used with these clouds.
         Cancelled: `cancelled` returned True.
     """
+    source, target = correct(settings, source, target)
     resolved = resolve(settings, source, target)
     _stage(progress, cancelled, 0.0, "Preparing the clouds")
-    source, target = prepare(source, resolved), prepare(target, resolved)
+    source, target = prepare(source, resolved, "source"), prepare(target, resolved, "target")
     _stage(progress, cancelled, 0.05, "Describing the source")
     source_features = describe(source, resolved, progress=_part(progress, 0.05, 0.45), cancelled=cancelled)
     _stage(progress, cancelled, 0.45, "Describing the target")

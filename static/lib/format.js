@@ -10,14 +10,15 @@ const isRelative = (unit) => unit.name !== "m";
 export function length(value, unit, digits = 2) {
   if (value === null) return "–";
   if (isRelative(unit)) return `${significant((100 * value) / unit.diameter, digits)} % diam.`;
-  return value < 0.9995 ? `${significant(100 * value, digits)} cm` : `${significant(value, digits + 1)} m`;
+  const metres = value * unit.metres;
+  return metres < 0.9995 ? `${significant(100 * metres, digits)} cm` : `${significant(metres, digits + 1)} m`;
 }
 
 /** Unit of the fields, and what one of it is in the units of the clouds. */
-export const field = (unit) => (isRelative(unit) ? { name: "% ⌀", size: unit.diameter / 100 } : { name: "m", size: 1 });
+export const field = (unit) => (isRelative(unit) ? { name: "% ⌀", size: unit.diameter / 100 } : { name: "m", size: 1 / unit.metres });
 
 /** Unit of an axis that ends at `last`, and what one of it is in the units of the clouds. */
 export function axisUnit(last, unit) {
   if (isRelative(unit)) return { name: "% of diameter", size: unit.diameter / 100 };
-  return last < 1 ? { name: "cm", size: 0.01 } : { name: "m", size: 1 };
+  return last * unit.metres < 1 ? { name: "cm", size: 0.01 / unit.metres } : { name: "m", size: 1 / unit.metres };
 }

@@ -102,7 +102,7 @@ def test_millimetres_are_warned_of(files: Path) -> None:
     assert session.wait_until_idle(LONG_S)
     messages = [message.text for message in session.snapshot().messages]
     session.close()
-    assert any("if this is a room in millimetres, divide by 1000" in text for text in messages)
+    assert any("if this is a room in millimetres, say so with Unit mm" in text for text in messages)
 
 
 def test_invalid_rows_can_be_dropped(files: Path) -> None:

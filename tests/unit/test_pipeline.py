@@ -98,7 +98,7 @@ def test_an_unknown_model_is_refused() -> None:
 @pytest.mark.parametrize("requested", ["auto", "indoor"])
 def test_millimetres_are_warned_of(requested: str) -> None:
     warning = choose_model(surface(4000.0), surface(3000.0), requested).warning
-    assert warning == "The clouds span 4,000 units; if this is a room in millimetres, divide by 1000."
+    assert warning == "The clouds span 4,000 units; if this is a room in millimetres, say so with --unit mm."
 
 
 def test_no_millimetres_are_suspected_where_scale_is_relative_by_request() -> None:
@@ -107,7 +107,7 @@ def test_no_millimetres_are_suspected_where_scale_is_relative_by_request() -> No
 
 def test_indoor_weights_on_a_small_object_are_warned_of() -> None:
     warning = choose_model(surface(0.2), surface(0.2), "indoor").warning
-    assert warning == "The indoor model expects rooms in metres, but the clouds span 0.2 units."
+    assert warning == "The indoor model expects rooms, but the clouds span 0.2 m; choose --unit or --model."
 
 
 def test_units_that_differ_are_warned_of() -> None:
@@ -387,3 +387,42 @@ def test_resolving_keeps_no_cloud_alive(learned: None) -> None:
     del cloud
     gc.collect()
     assert watched() is None
+
+
+def test_a_room_in_millimetres_resolves_as_in_metres() -> None:
+    metres = resolve(PairSettings(), surface(4.0), surface(4.0))
+    millimetres = resolve(PairSettings(unit="mm"), surface(4000.0), surface(4000.0))
+    assert millimetres.model == metres.model == "indoor"
+    for name in ("support_radius", "min_radius", "lrf_radius", "voxel_size", "tau", "normal_radius"):
+        assert getattr(millimetres, name) == pytest.approx(1000 * getattr(metres, name))
+    assert choose_model(surface(4000.0), surface(3000.0), unit="mm").warning is None
+
+
+def test_the_source_is_scaled_with_its_viewpoint() -> None:
+    source, target = pipeline.correct(PairSettings(source_scale=0.5), surface(4.0), surface(4.0))
+    np.testing.assert_allclose(source.points, surface(2.0).points)
+    np.testing.assert_allclose(source.viewpoint, 0.5 * surface(4.0).viewpoint)
+    np.testing.assert_array_equal(target.points, surface(4.0).points)
+    with pytest.raises(InputError, match="--source-scale must be positive, got 0"):
+        pipeline.correct(PairSettings(source_scale=0.0), source, target)
+
+
+@pytest.mark.parametrize(
+    ("flip", "signs"), [("none", (1, 1)), ("source", (-1, 1)), ("target", (1, -1)), ("both", (-1, -1))]
+)
+def test_normals_are_turned_round_where_asked(flip: str, signs: tuple[int, int]) -> None:
+    usual, turned = settings_for(), settings_for(flip_normals=flip)
+    for side, sign in zip(("source", "target"), signs, strict=True):
+        np.testing.assert_array_equal(
+            prepare(surface(), turned, side).normals, sign * prepare(surface(), usual, side).normals
+        )
+    assert (usual.preparation_key == turned.preparation_key) == (flip == "none")
+
+
+def test_stored_normals_can_be_ignored() -> None:
+    wrong = replace(surface(), normals=np.tile([1.0, 0.0, 0.0], (1500, 1)))
+    wanted = PairSettings(descriptor="fpfh", normals="estimated")
+    source, target = pipeline.correct(wanted, wrong, wrong)
+    prepared = prepare(source, resolve(wanted, source, target))
+    assert prepared.normals is not None
+    assert np.median(prepared.normals[:, 2]) > 0.7
