@@ -145,7 +145,13 @@ class Estimator(Protocol):
     def name(self) -> str: ...
 
     def estimate(
-        self, source: PointCloud, target: PointCloud, correspondences: Correspondences
+        self,
+        source: PointCloud,
+        target: PointCloud,
+        correspondences: Correspondences,
+        *,
+        progress: Progress | None = None,
+        cancelled: IsCancelled | None = None,
     ) -> RegistrationResult: ...
 
 

@@ -18,8 +18,8 @@ from cgf.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from cgf.pipeline import PairResult, ResolvedSettings
-    from cgf.types import Pair
+    from cgf.pipeline import PairResult, RegistrationSettings, ResolvedSettings
+    from cgf.types import Pair, RegistrationResult
 
 
 def describe_options(parser: argparse.ArgumentParser) -> None:
@@ -111,8 +111,15 @@ def match(options: argparse.Namespace) -> int:
 def register_options(parser: argparse.ArgumentParser) -> None:
     """Options of `cgf register`."""
     _pair_options(parser)
+    group = parser.add_argument_group("registration")
+    group.add_argument("--method", metavar="NAME", help="ransac, fgr or icp (default: ransac)")
+    group.add_argument("--inlier-distance", type=float, metavar="D", help="how near partners must come, in cloud units")
+    group.add_argument("--iterations", type=int, metavar="N", help="samples of ransac or steps of the others, at most")
+    group.add_argument("--no-refine", action="store_true", help="leave out the ICP that follows ransac and fgr")
+    group.add_argument("--metric", choices=("plane", "point"), help="what ICP makes small (default: plane)")
+    group.add_argument("--initial", type=Path, metavar="FILE", help="pose that --method icp starts from")
+    group.add_argument("--seed", type=int, metavar="N", help="of the random samples (default: 0)")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="text file for the 4x4")
-    parser.add_argument("--seed", type=int, metavar="N", help="of the random samples (default: 0)")
 
 
 def register(options: argparse.Namespace) -> int:
@@ -120,14 +127,19 @@ def register(options: argparse.Namespace) -> int:
     from cgf import io
     from cgf.geometry import transforms
 
-    pair, result = _run_pair(options, register=True)
-    found = result.registration
+    wanted = _registration_settings(options)
+    if wanted.method == "icp":
+        pair, found = _refine_alone(options, wanted)
+    else:
+        pair, result = _run_pair(options, register=True, registration=wanted)
+        found = result.registration
     if found is None or found.target_from_source is None:
         # The line that says so was among the warnings.
         return FAILED
     pose = found.target_from_source
     print("\n".join(" ".join(f"{value: .9g}".rjust(16) for value in row) for row in pose))
-    print(f"fitness {found.fitness:.4f}, rmse {found.inlier_rmse:.4g}, {len(found.inliers):,} correspondences agree")
+    agree = "" if wanted.method == "icp" else f", {len(found.inliers):,} correspondences agree"
+    print(f"fitness {found.fitness:.4f}, rmse {found.inlier_rmse:.4g}{agree}")
     if pair.target_from_source is not None:
         turned = transforms.rotation_error_deg(pose, pair.target_from_source)
         shifted = transforms.translation_error(pose, pair.target_from_source)
@@ -138,19 +150,70 @@ def register(options: argparse.Namespace) -> int:
     return 0
 
 
-def _run_pair(options: argparse.Namespace, *, register: bool) -> tuple["Pair", "PairResult"]:
+def _registration_settings(options: argparse.Namespace) -> "RegistrationSettings":
+    from cgf.checks import InputError
+    from cgf.pipeline import RegistrationSettings
+
+    names = ("method", "inlier_distance", "iterations", "metric")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    wanted = RegistrationSettings(refine=not options.no_refine, **given)
+    if options.initial is not None and wanted.method != "icp":
+        raise InputError(f"--initial must come with --method icp, got {wanted.method}, which needs no start")
+    return wanted
+
+
+def _refine_alone(
+    options: argparse.Namespace, wanted: "RegistrationSettings"
+) -> tuple["Pair", "RegistrationResult | None"]:
+    """ICP needs no features, so none are computed."""
+    from cgf import io, pipeline
+    from cgf.matching import empty_correspondences
+
+    with progress_bar(options) as progress:
+        pair = _load_pair(options)
+        initial = None
+        if options.initial is not None:
+            names = options.source.name, options.target.name
+            initial = io.read_transform(options.initial, source_name=names[0], target_name=names[1])
+        source, target = pipeline.correct(feature_settings(options), pair.source, pair.target)
+        settings = pipeline.resolve(feature_settings(options), source, target)
+        source = pipeline.prepare(source, settings, "source")
+        target = pipeline.prepare(target, settings, "target")
+        nothing = empty_correspondences()
+        found = pipeline.register_pair(source, target, nothing, settings, wanted, initial=initial, progress=progress)
+    if found.target_from_source is None:
+        distance = wanted.inlier_distance or settings.inlier_distance
+        print(
+            f"Warning: Fewer than 10 source points come within {distance:.2g} of the target from this start; "
+            "give a better --initial or a larger --inlier-distance",
+            file=sys.stderr,
+        )
+    return pair, found
+
+
+def _load_pair(options: argparse.Namespace) -> "Pair":
+    from cgf import pipeline
+
+    return pipeline.load_pair(
+        options.source,
+        options.target,
+        gt=options.gt,
+        viewpoint=None if options.viewpoint is None else tuple(options.viewpoint),
+        drop_invalid=options.drop_invalid,
+    )
+
+
+def _run_pair(
+    options: argparse.Namespace, *, register: bool, registration: "RegistrationSettings | None" = None
+) -> tuple["Pair", "PairResult"]:
     from cgf import pipeline
 
     with progress_bar(options) as progress:
-        pair = pipeline.load_pair(
-            options.source,
-            options.target,
-            gt=options.gt,
-            viewpoint=None if options.viewpoint is None else tuple(options.viewpoint),
-            drop_invalid=options.drop_invalid,
-        )
+        pair = _load_pair(options)
         settings = feature_settings(options)
-        result = pipeline.run_pair(pair.source, pair.target, settings, register=register, progress=progress)
+        result = pipeline.run_pair(
+            pair.source, pair.target, settings, register=register, registration=registration, progress=progress
+        )
     _note_choice(options, result.settings)
     for warning in result.warnings:
         print(f"Warning: {warning}", file=sys.stderr)

@@ -8,6 +8,7 @@ are `InputError`s and name the option of the command line.
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.pipeline.inspection import PointInspection, Surroundings, best_turn, far_modes, inspect_point
+from cgf.pipeline.registering import RegistrationSettings, register_pair, registration_warning
 from cgf.pipeline.rejection import REJECTIONS, Rejection, rejections
 from cgf.pipeline.settings import (
     METRES,
@@ -28,8 +29,6 @@ from cgf.pipeline.stages import (
     load_pair,
     match_features,
     prepare,
-    register_pair,
-    registration_warning,
     run_pair,
 )
 
@@ -42,6 +41,7 @@ __all__ = [
     "PairResult",
     "PairSettings",
     "PointInspection",
+    "RegistrationSettings",
     "Rejection",
     "ResolvedSettings",
     "Surroundings",

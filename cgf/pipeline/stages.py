@@ -12,6 +12,7 @@ from cgf import descriptors
 from cgf.checks import InputError
 from cgf.descriptors.settings import DescriptorSettings
 from cgf.matching import MatchTable, filter_rows, match
+from cgf.pipeline.registering import RegistrationSettings, register_pair, registration_warning
 from cgf.pipeline.settings import PairSettings, ResolvedSettings, correct, resolve
 from cgf.types import (
     Cancelled,
@@ -25,9 +26,6 @@ from cgf.types import (
 )
 
 FEWEST_POINTS = 10
-LOW_FITNESS = 0.1
-LOW_AGREEMENT = 0.01
-"""Share of correspondences that agree on the best of many motions by chance alone: 0.3 % on shuffled ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,61 +181,13 @@ def filtered_rows(table: MatchTable, settings: ResolvedSettings) -> Int64[np.nda
     return filter_rows(table, mutual=settings.mutual, max_ratio=settings.max_ratio)
 
 
-def register_pair(
-    source: PointCloud, target: PointCloud, correspondences: Correspondences, settings: ResolvedSettings
-) -> RegistrationResult:
-    """Find the motion most correspondences agree with (RANSAC), and refine it on the surfaces (ICP).
-
-    Args:
-        source: Prepared cloud.
-        target: Prepared cloud.
-        correspondences: Between their rows, filtered as the user likes.
-        settings: Gives the inlier distance and the seed.
-
-    Returns:
-        `target_from_source` is None where no motion is agreed on.
-    """
-    from cgf.registration.icp import Icp, IcpConfig
-    from cgf.registration.ransac import Ransac, RansacConfig
-
-    distance = settings.inlier_distance
-    coarse = Ransac(RansacConfig(distance, seed=settings.seed)).estimate(source, target, correspondences)
-    if coarse.target_from_source is None:
-        return coarse
-    fine = Icp(IcpConfig(distance), coarse.target_from_source).estimate(source, target, correspondences)
-    # A refinement that loses the surfaces has gone astray.
-    return fine if fine.fitness >= 0.9 * coarse.fitness else coarse
-
-
-def registration_warning(
-    result: RegistrationResult, correspondences: Correspondences, settings: ResolvedSettings
-) -> str | None:
-    """A line for the user where the motion is missing or doubtful, else None."""
-    if result.target_from_source is None:
-        return (
-            f"No motion was found that enough of the {len(correspondences):,} correspondences agree with; "
-            "do the clouds overlap?"
-        )
-    near, agree = f"{settings.inlier_distance:.2g}", len(result.inliers)
-    if agree < LOW_AGREEMENT * len(correspondences):
-        return (
-            f"Only {agree:,} of {len(correspondences):,} correspondences agree with the motion found (within {near}), "
-            "as many as chance gives; do the clouds overlap?"
-        )
-    if result.fitness < LOW_FITNESS:
-        return (
-            f"Only {result.fitness:.0%} of the source's points come within {near} of the target after moving; "
-            "do the clouds overlap?"
-        )
-    return None
-
-
 def run_pair(
     source: PointCloud,
     target: PointCloud,
     settings: PairSettings,
     *,
     register: bool = False,
+    registration: RegistrationSettings | None = None,
     progress: Progress | None = None,
     cancelled: IsCancelled | None = None,
 ) -> PairResult:
@@ -248,6 +198,7 @@ def run_pair(
         target: Cloud that stays.
         settings: What the user chose.
         register: Whether to estimate the motion as well.
+        registration: How; None takes RANSAC, then ICP.
         progress: Told the share done of the whole, and the stage.
         cancelled: Asked between chunks whether to give up.
 
@@ -268,13 +219,16 @@ def run_pair(
         source_features, target_features, resolved, progress=_part(progress, 0.85, 0.95), cancelled=cancelled
     )
     rows = filtered_rows(table, resolved)
-    registration = None
+    found = None
     warnings = [resolved.choice.warning]
     if register:
         _stage(progress, cancelled, 0.95, "Registering")
         correspondences = table.correspondences.take(rows)
-        registration = register_pair(source, target, correspondences, resolved)
-        warnings.append(registration_warning(registration, correspondences, resolved))
+        found = register_pair(
+            source, target, correspondences, resolved, registration, progress=_part(progress, 0.95, 1.0),
+            cancelled=cancelled,
+        )  # fmt: skip
+        warnings.append(registration_warning(found, correspondences, resolved))
     _stage(progress, cancelled, 1.0, "Done")
     return PairResult(
         settings=resolved,
@@ -284,7 +238,7 @@ def run_pair(
         target_features=at_dim(target_features, resolved),
         table=table,
         rows=rows,
-        registration=registration,
+        registration=found,
         warnings=tuple(warning for warning in warnings if warning is not None),
     )
 

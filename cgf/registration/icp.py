@@ -1,6 +1,11 @@
-"""Refinement of a motion by the iterative closest point method, point to plane (Chen and Medioni 1992)."""
+"""Refinement of a motion by the iterative closest point method.
+
+Point to plane (Chen and Medioni 1992) slides along surfaces and so takes few steps; point to point (Besl and McKay
+1992) needs no normals.
+"""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
@@ -9,7 +14,10 @@ from cgf.checks import check_positive, check_transform
 from cgf.geometry import transforms
 from cgf.geometry.neighbors import build_tree
 from cgf.registration.agreement import nothing_found, surface_agreement
-from cgf.types import Correspondences, PointCloud, RegistrationResult
+from cgf.registration.alignment import fit_rigid
+from cgf.types import Correspondences, IsCancelled, PointCloud, Progress, RegistrationResult, raise_if_cancelled
+
+IcpMetric = Literal["plane", "point"]
 
 ANGLE_EPSILON_DEG = 1e-3
 """Steps that turn less and shift less end the refinement."""
@@ -27,6 +35,8 @@ class IcpConfig:
     max_distance: float
     """Target points farther than this from a moved source point have no say, in cloud units."""
     iterations: int = 50
+    metric: IcpMetric = "plane"
+    """What is made small: distances to the planes of the target's points, or to the points themselves."""
 
     def __post_init__(self) -> None:
         check_positive(self.max_distance, "max_distance")
@@ -49,21 +59,32 @@ class Icp:
     def name(self) -> str:
         return "icp"
 
-    def estimate(self, source: PointCloud, target: PointCloud, correspondences: Correspondences) -> RegistrationResult:
-        """Move the source until its points lie in the planes of their nearest target points.
+    def estimate(
+        self,
+        source: PointCloud,
+        target: PointCloud,
+        correspondences: Correspondences,
+        *,
+        progress: Progress | None = None,
+        cancelled: IsCancelled | None = None,
+    ) -> RegistrationResult:
+        """Move the source until its points lie on their nearest target points, or in those points' planes.
 
         Args:
             source: Cloud to move.
-            target: Cloud that stays, with normals; their sides do not matter.
+            target: Cloud that stays, for the metric `plane` with normals; their sides do not matter.
             correspondences: Not looked at but for `inliers`, those within the maximum distance afterwards.
+            progress: Told the share of the iterations that are done.
+            cancelled: Asked before every iteration whether to give up.
 
         Returns:
             `target_from_source` is None if fewer than 10 source points come within the maximum distance.
 
         Raises:
-            ValueError: `target` has no normals.
+            ValueError: `target` has no normals, which the metric `plane` needs.
+            Cancelled: `cancelled` returned True.
         """
-        target_from_source = _refine(source, target, self.initial, self.config)
+        target_from_source = _refine(source, target, self.initial, self.config, progress, cancelled)
         if target_from_source is None:
             return nothing_found(self.name)
         fitness, inlier_rmse = surface_agreement(source, target, target_from_source, self.config.max_distance)
@@ -74,22 +95,36 @@ class Icp:
 
 
 def _refine(
-    source: PointCloud, target: PointCloud, initial: Float64[np.ndarray, "4 4"], config: IcpConfig
+    source: PointCloud,
+    target: PointCloud,
+    initial: Float64[np.ndarray, "4 4"],
+    config: IcpConfig,
+    progress: Progress | None,
+    cancelled: IsCancelled | None,
 ) -> Float64[np.ndarray, "4 4"] | None:
-    if target.normals is None:
-        raise ValueError("target must have normals, got none; estimate them first")
+    normals = target.normals
+    if normals is None and config.metric == "plane":
+        raise ValueError("target must have normals, got none; estimate them first, or take the metric point")
     # Centred on the target, so that coordinates may be large (UTM).
     center = transforms.rigid(np.eye(3), -target.points.mean(axis=0))
     target_points = transforms.apply(center, target.points)
     tree = build_tree(target_points)
     motion = center @ initial
-    for _ in range(config.iterations):
+    for iteration in range(config.iterations):
+        raise_if_cancelled(cancelled)
+        if progress is not None:
+            progress(iteration / config.iterations, "Refining on the surfaces")
         moved = transforms.apply(motion, source.points)
         distances, rows = tree.query(moved, distance_upper_bound=config.max_distance, workers=-1)
         near = np.flatnonzero(np.isfinite(distances))
         if len(near) < FEWEST_POINTS:
             return None
-        step = _plane_step(moved[near], target_points[rows[near]], target.normals[rows[near]])
+        goals = target_points[rows[near]]
+        if config.metric == "point":
+            step = fit_rigid(moved[near], goals)
+        else:
+            assert normals is not None
+            step = _plane_step(moved[near], goals, normals[rows[near]])
         motion = step @ motion
         turned = transforms.rotation_error_deg(step, np.eye(4))
         shift = transforms.apply(step, moved.mean(axis=0, keepdims=True))[0] - moved.mean(axis=0)

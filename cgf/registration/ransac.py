@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from cgf.checks import check_positive
 from cgf.geometry import transforms
 from cgf.registration.agreement import nothing_found, surface_agreement
-from cgf.types import Correspondences, PointCloud, RegistrationResult
+from cgf.registration.alignment import fit_rigid, fit_rotations
+from cgf.types import Correspondences, IsCancelled, PointCloud, Progress, RegistrationResult, raise_if_cancelled
 
 SAMPLE = 3
 BATCH = 5_000
@@ -63,15 +64,26 @@ class Ransac:
     def name(self) -> str:
         return "ransac"
 
-    def estimate(self, source: PointCloud, target: PointCloud, correspondences: Correspondences) -> RegistrationResult:
+    def estimate(
+        self,
+        source: PointCloud,
+        target: PointCloud,
+        correspondences: Correspondences,
+        *,
+        progress: Progress | None = None,
+        cancelled: IsCancelled | None = None,
+    ) -> RegistrationResult:
         """Sample, score, and polish by least squares over the inliers.
 
         Returns:
             `target_from_source` is None if fewer than `min_inliers` correspondences agree on any motion tried.
+
+        Raises:
+            Cancelled: `cancelled` returned True.
         """
         source_points = source.points[correspondences.indices[:, 0]]
         target_points = target.points[correspondences.indices[:, 1]]
-        found = _consensus(source_points, target_points, self.config)
+        found = _consensus(source_points, target_points, self.config, progress, cancelled)
         if found is None:
             return nothing_found(self.name)
         target_from_source, inliers = found
@@ -79,18 +91,12 @@ class Ransac:
         return RegistrationResult(target_from_source, inliers, fitness, inlier_rmse, self.name)
 
 
-def fit_rigid(
-    source_points: Float64[np.ndarray, "C 3"], target_points: Float64[np.ndarray, "C 3"]
-) -> Float64[np.ndarray, "4 4"]:
-    """The rigid motion with the least sum of squared residuals (Kabsch 1976; Umeyama 1991 for the sign)."""
-    rotations = _fit_rotations(
-        (source_points - source_points.mean(axis=0))[None], (target_points - target_points.mean(axis=0))[None]
-    )
-    return transforms.rigid(rotations[0], target_points.mean(axis=0) - rotations[0] @ source_points.mean(axis=0))
-
-
 def _consensus(
-    source_points: Float64[np.ndarray, "C 3"], target_points: Float64[np.ndarray, "C 3"], config: RansacConfig
+    source_points: Float64[np.ndarray, "C 3"],
+    target_points: Float64[np.ndarray, "C 3"],
+    config: RansacConfig,
+    progress: Progress | None,
+    cancelled: IsCancelled | None,
 ) -> tuple[Float64[np.ndarray, "4 4"], Int64[np.ndarray, "I"]] | None:
     count = len(source_points)
     if count < config.min_inliers:
@@ -102,9 +108,12 @@ def _consensus(
     best: Float64[np.ndarray, "4 4"] | None = None
     best_score, needed, drawn = 0.0, config.iterations, 0
     while drawn < needed:
+        raise_if_cancelled(cancelled)
+        if progress is not None:
+            progress(drawn / needed, "Sampling correspondences")
         samples = rng.integers(0, count, size=(min(BATCH, needed - drawn), SAMPLE))
         drawn += len(samples)
-        samples = samples[_edges_agree(source_points[samples], target_points[samples], config.edge_ratio)]
+        samples = samples[edges_agree(source_points[samples], target_points[samples], config.edge_ratio)]
         if not len(samples):
             continue
         rotations, translations = _align(source_points[samples], target_points[samples])
@@ -124,9 +133,10 @@ def _consensus(
     return transforms.rigid(rotation, best[:3, 3] + target_center - rotation @ source_center), inliers
 
 
-def _edges_agree(
+def edges_agree(
     source_samples: Float64[np.ndarray, "S 3 3"], target_samples: Float64[np.ndarray, "S 3 3"], edge_ratio: float
 ) -> Bool[np.ndarray, "S"]:
+    """Which samples of three correspondences have edges of positive length that differ by `edge_ratio` at most."""
     keep = np.ones(len(source_samples), dtype=bool)
     for a, b in ((0, 1), (1, 2), (2, 0)):
         sq_source = np.square(source_samples[:, a] - source_samples[:, b]).sum(axis=1)
@@ -141,16 +151,8 @@ def _align(
     source_samples: Float64[np.ndarray, "S K 3"], target_samples: Float64[np.ndarray, "S K 3"]
 ) -> tuple[Float64[np.ndarray, "S 3 3"], Float64[np.ndarray, "S 3"]]:
     source_center, target_center = source_samples.mean(axis=1), target_samples.mean(axis=1)
-    rotations = _fit_rotations(source_samples - source_center[:, None], target_samples - target_center[:, None])
+    rotations = fit_rotations(source_samples - source_center[:, None], target_samples - target_center[:, None])
     return rotations, target_center - np.einsum("sij,sj->si", rotations, source_center)
-
-
-def _fit_rotations(
-    source_samples: Float64[np.ndarray, "S K 3"], target_samples: Float64[np.ndarray, "S K 3"]
-) -> Float64[np.ndarray, "S 3 3"]:
-    u, _, vt = np.linalg.svd(np.einsum("ski,skj->sij", target_samples, source_samples))
-    u[:, :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[:, None]
-    return np.asarray(u @ vt)
 
 
 def _scores(

@@ -127,6 +127,49 @@ def test_register_prints_and_writes_the_pose(folder: Path, clouds: list[str], tm
     assert "degrees, translation error 0.0" in lines[5]
 
 
+def test_register_by_another_method(clouds: list[str], tmp_path: Path) -> None:
+    output = tmp_path / "pose.txt"
+    assert cli.main(["register", *clouds, "--method", "fgr", "--no-refine", "-o", str(output), *OPTIONS]) == 0
+    assert transforms.rotation_error_deg(read_transform(output), MOTION) < 2
+
+
+def test_register_by_icp_alone_starts_where_it_is_told_and_computes_no_features(
+    clouds: list[str], tmp_path: Path, capsys, monkeypatch
+) -> None:
+    monkeypatch.setattr(pipeline, "describe", None)
+    start, output = tmp_path / "start.txt", tmp_path / "pose.txt"
+    write_transform(start, MOTION @ transforms.rigid(transforms.rotation_about([0, 0, 1], 0.02), [0.01, 0.0, 0.0]))
+    arguments = ["register", *clouds, "--method", "icp", "--initial", str(start), "--iterations", "30"]
+    assert cli.main([*arguments, "--metric", "point", "-o", str(output), *OPTIONS]) == 0
+    assert transforms.rotation_error_deg(read_transform(output), MOTION) < 0.5
+    assert "correspondences" not in capsys.readouterr().out
+
+
+def test_icp_from_a_start_that_is_too_far_says_so(clouds: list[str], tmp_path: Path, capsys) -> None:
+    start = tmp_path / "start.txt"
+    write_transform(start, transforms.rigid(np.eye(3), [1000.0, 0.0, 0.0]))
+    assert cli.main(["register", *clouds, "--method", "icp", "--initial", str(start), *OPTIONS]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "come within 0.15 of the target from this start; give a better --initial or a larger" in said.err
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--method", "magic"], "--method must be one of fgr, icp, ransac, got magic"),
+        (["--iterations", "0"], "--iterations must be at least 1, got 0"),
+        (["--inlier-distance", "-1"], "--inlier-distance must be positive, got -1"),
+        (["--initial", "x.txt"], "--initial must come with --method icp, got ransac, which needs no start"),
+    ],
+)
+def test_register_refuses_settings_that_make_no_sense(
+    clouds: list[str], capsys, options: list[str], sentence: str
+) -> None:
+    assert cli.main(["register", *clouds, *options]) == 2
+    assert capsys.readouterr().err.strip() == f"cgf register: {sentence}"
+
+
 def test_register_fails_with_a_line_where_nothing_agrees(tmp_path: Path, capsys) -> None:
     points = np.random.default_rng(0).normal(size=(12, 3))
     write_cloud(tmp_path / "a.npz", PointCloud(points))

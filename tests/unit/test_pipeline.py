@@ -265,7 +265,7 @@ def test_every_stage_together_finds_the_motion(learned: None) -> None:
     np.testing.assert_array_equal(result.correspondences.indices[:, 0], result.correspondences.indices[:, 1])
     assert result.registration is not None
     np.testing.assert_allclose(result.registration.target_from_source, np.eye(4), atol=1e-9)
-    assert result.registration.method == "icp"
+    assert result.registration.method == "ransac+icp"
     assert result.warnings == ()
 
 

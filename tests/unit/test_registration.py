@@ -6,9 +6,11 @@ import pytest
 
 from cgf.geometry import transforms
 from cgf.registration import available, make_estimator
+from cgf.registration.alignment import fit_rigid
+from cgf.registration.fgr import Fgr, FgrConfig
 from cgf.registration.icp import Icp, IcpConfig
-from cgf.registration.ransac import Ransac, RansacConfig, fit_rigid
-from cgf.types import Correspondences, Estimator, PointCloud, RegistrationResult
+from cgf.registration.ransac import Ransac, RansacConfig
+from cgf.types import Cancelled, Correspondences, Estimator, PointCloud, RegistrationResult
 
 MOTION = transforms.rigid(transforms.rotation_about([1, 2, -1], 2.0), [0.5, -3.0, 2.0])
 NO_CORRESPONDENCES = np.zeros((0, 2), dtype=np.int64)
@@ -134,6 +136,75 @@ def test_ransac_refuses_settings_that_make_no_sense(values: dict[str, float], se
         RansacConfig(**values)  # type: ignore[arg-type]
 
 
+def test_weighted_least_squares_counts_a_weight_as_copies() -> None:
+    rng = np.random.default_rng(2)
+    points, goals = rng.normal(size=(2, 8, 3))
+    weights = np.array([0.0, 1.0, 2.0, 3.0, 1.0, 1.0, 1.0, 4.0])
+    copies = np.repeat(np.arange(8), weights.astype(int))
+    np.testing.assert_allclose(fit_rigid(points, goals, weights), fit_rigid(points[copies], goals[copies]), atol=1e-12)
+
+
+def test_fgr_recovers_an_exact_motion_among_wrong_matches() -> None:
+    source, target, matches = scattered()
+    result = Fgr(FgrConfig(0.01)).estimate(source, target, matches)
+    assert result.target_from_source is not None
+    # A wrong match keeps a little weight, so that the motion is no better than a small share of the inlier distance.
+    np.testing.assert_allclose(result.target_from_source, MOTION, atol=1e-4)
+    np.testing.assert_array_equal(result.inliers, np.arange(60))
+    assert result.fitness == 1
+    assert result.method == "fgr"
+
+
+@pytest.mark.parametrize("offset", [0.0, 4_000_000.0])
+def test_fgr_agrees_with_open3d_without_the_random_triples(offset: float) -> None:
+    from cgf.io import import_open3d
+
+    open3d = import_open3d()
+    registration = open3d.pipelines.registration
+    source, target, matches = scattered(right=200, wrong=200, noise=0.01)
+    first, second = source.points[matches.indices[:, 0]], target.points[matches.indices[:, 1]]
+    size = np.sqrt(max(np.square(cloud - cloud.mean(axis=0)).sum(axis=1).max() for cloud in (first, second)))
+    options = registration.FastGlobalRegistrationOption(
+        decrease_mu=True, maximum_correspondence_distance=(0.05 / size) ** 2, iteration_number=400, tuple_test=False
+    )
+    clouds = [open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud)) for cloud in (first, second)]
+    rows = np.repeat(np.arange(len(matches), dtype=np.int32)[:, None], 2, axis=1)
+    theirs = registration.registration_fgr_based_on_correspondence(
+        *clouds, open3d.utility.Vector2iVector(rows), options
+    )
+    far = transforms.rigid(np.eye(3), [offset, 0.0, offset])
+    moved = PointCloud(transforms.apply(far, target.points))
+    ours = Fgr(FgrConfig(0.05, iterations=400, tuples=0)).estimate(source, moved, matches)
+    assert ours.target_from_source is not None
+    back = transforms.compose(transforms.invert(far), ours.target_from_source)
+    # Open3D linearises the rotation, and both stop near the minimum: a five-hundredth of the inlier distance apart.
+    np.testing.assert_allclose(back, theirs.transformation, atol=1e-4)
+
+
+def test_fgr_finds_nothing_without_enough_correspondences_or_agreement() -> None:
+    source, target, matches = scattered()
+    for rows in (NO_CORRESPONDENCES, matches.indices[:2], matches.indices[:5], np.zeros((100, 2), dtype=np.int64)):
+        assert_nothing_found(Fgr(FgrConfig(0.01)).estimate(source, target, correspondences(rows)))
+    source, target, matches = scattered(right=0, wrong=50)
+    assert_nothing_found(Fgr(FgrConfig(1e-4)).estimate(source, target, matches))
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"inlier_distance": 0.0}, "inlier_distance must be positive, got 0"),
+        ({"inlier_distance": 1.0, "iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"inlier_distance": 1.0, "tuples": -1}, "tuples must be 0 or more, got -1"),
+        ({"inlier_distance": 1.0, "edge_ratio": 1.0}, "edge_ratio must be between 0 and 1, got 1"),
+        ({"inlier_distance": 1.0, "min_inliers": 2}, "min_inliers must be at least 3, got 2"),
+        ({"inlier_distance": 1.0, "seed": -1}, "seed must be 0 or more, got -1"),
+    ],
+)
+def test_fgr_refuses_settings_that_make_no_sense(values: dict[str, float], sentence: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(sentence)):
+        FgrConfig(**values)  # type: ignore[arg-type]
+
+
 def nearly() -> np.ndarray:
     return MOTION @ transforms.rigid(transforms.rotation_about([0, 1, 1], 0.03), [0.02, -0.01, 0.03])
 
@@ -198,6 +269,15 @@ def test_icp_refuses_a_target_without_normals() -> None:
         Icp(IcpConfig(0.1)).estimate(surface(), PointCloud(surface().points), correspondences(NO_CORRESPONDENCES))
 
 
+def test_icp_to_points_needs_no_normals() -> None:
+    source = surface()
+    target = PointCloud(transforms.apply(MOTION, source.points))
+    near = MOTION @ transforms.rigid(transforms.rotation_about([0, 1, 1], 0.005), [0.004, -0.002, 0.003])
+    result = Icp(IcpConfig(0.1, metric="point"), near).estimate(source, target, correspondences(NO_CORRESPONDENCES))
+    assert result.target_from_source is not None
+    np.testing.assert_allclose(result.target_from_source, MOTION, atol=1e-9)
+
+
 def test_icp_refuses_a_start_that_is_not_rigid() -> None:
     with pytest.raises(ValueError, match="initial must"):
         Icp(IcpConfig(0.1), 2 * np.eye(4))
@@ -222,6 +302,20 @@ def test_every_registered_estimator_keeps_the_protocol(name: str) -> None:
     assert estimator.name == name
 
 
+@pytest.mark.parametrize("name", available())
+def test_every_registered_estimator_tells_how_far_it_is_and_can_be_stopped(name: str) -> None:
+    source, target, matches = scattered()
+    estimator = make_estimator(name, inlier_distance=1.0, metric="point", iterations=3)
+    told: list[float] = []
+    estimator.estimate(source, target, matches, progress=lambda share, _: told.append(share))
+    assert told
+    assert told == sorted(told)
+    assert told[0] >= 0
+    assert told[-1] <= 1
+    with pytest.raises(Cancelled):
+        estimator.estimate(source, target, matches, cancelled=lambda: True)
+
+
 def test_an_unknown_estimator_is_refused() -> None:
-    with pytest.raises(ValueError, match="name must be one of icp, ransac, got magic"):
+    with pytest.raises(ValueError, match="name must be one of fgr, icp, ransac, got magic"):
         make_estimator("magic", inlier_distance=1.0)
