@@ -17,7 +17,8 @@ _ANCHORS: dict[Palette, tuple[tuple[int, int, int], ...]] = {
     # print.
     "paper": ((227, 225, 158), (229, 196, 112), (224, 150, 88), (205, 103, 92), (164, 66, 104), (112, 44, 102),
               (62, 26, 74), (24, 12, 32), (0, 0, 0)),
-    # Like matplotlib's, but dimmer at the light end, for the lines. Nothing is black, so all stands out from a dark ground.
+    # Like matplotlib's, but dimmer at the light end, for the lines. Nothing is black, so all of it stands out from a
+    # dark ground.
     "viridis": ((224, 212, 84), (176, 208, 58), (122, 196, 84), (72, 178, 112), (38, 152, 132), (40, 122, 140),
                 (50, 92, 140), (62, 60, 128), (66, 30, 104), (50, 4, 66)),
     # Good and bad in two hues, for projectors that wash out shades; both ends are darker than the middle.

@@ -3,6 +3,7 @@
 
 import { command, listenToKeys } from "./commands.js";
 import { listenToControls, renderControls } from "./controls.js";
+import { listenToDialogs } from "./dialogs.js";
 import { renderLegend } from "./legend.js";
 import { $ } from "./lib/dom.js";
 import * as compare from "./panels/compare.js";
@@ -51,6 +52,7 @@ function render({ onlyStatus }) {
 }
 
 listenToControls(page);
+listenToDialogs(page);
 listenToKeys($("scene"));
 new ResizeObserver(() => server.state()?.legend && renderLegend(server.state())).observe($("legend"));
 server.listen(render);

@@ -29,7 +29,7 @@ export function makeTabs(panels, page) {
     tab.setAttribute("aria-controls", root.id);
     tab.onclick = () => open(name);
     $("tabs").append(tab);
-    $("dock").append(root);
+    $("tabpanels").append(root);
     module.mount(root, page);
     page.command(`tab-${name}`, { label: `Show ${title.toLowerCase()}`, keys: String(index + 1), run: () => open(name) });
     return { name, root, tab, module };

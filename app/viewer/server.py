@@ -19,8 +19,12 @@ _NEEDED = ("ViewerCameraMessage",)
 # What viser's own panel, notices and palette would show is on our page, with labels and without covering the scene. Its
 # sorter for Gaussian splats, which are never drawn here, needs `eval`; that our policy refuses it is no error.
 _CLIENT_HEAD = """<style>
-  html, body { background: #2a323e; }
-  canvas[data-engine] { background: radial-gradient(ellipse at 50% 42%, #465062 0%, #343d4b 55%, #29313d 100%); }
+  :root { color-scheme: light dark; }
+  :root[data-theme="light"] { color-scheme: light; }
+  :root[data-theme="dark"] { color-scheme: dark; }
+  html, body { background: light-dark(#d3dae3, #2a323e); }
+  canvas[data-engine] { background: radial-gradient(ellipse at 50% 42%,
+    light-dark(#eef1f4, #465062) 0%, light-dark(#dde3ea, #343d4b) 55%, light-dark(#cdd5df, #29313d) 100%); }
   .mantine-Paper-root, .mantine-Notifications-root, .mantine-Modal-root { display: none !important; }
 </style>
 <script>

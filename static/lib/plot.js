@@ -52,9 +52,12 @@ export function axes(svg, { x, y, left = 34, bottom = 32 }) {
   for (const [value, text] of y.ticks) parts.push(label(box.left - 5, atY(value) + 4, text, "end"));
   for (const [value, text] of x.ticks) parts.push(label(atX(value), box.bottom + 14, text, "middle"));
   parts.push(label((box.left + box.right) / 2, height - 3, x.title, "middle"));
-  const side = label(0, 0, y.title, "middle");
-  side.setAttribute("transform", `translate(9 ${(box.top + box.bottom) / 2}) rotate(-90)`);
-  parts.push(side);
+  // About 6 pixels a letter; a title longer than its axis would run into the numbers.
+  if (y.title && 6 * y.title.length < box.bottom - box.top) {
+    const side = label(0, 0, y.title, "middle");
+    side.setAttribute("transform", `translate(9 ${(box.top + box.bottom) / 2}) rotate(-90)`);
+    parts.push(side);
+  }
   const xAt = (pixel) => {
     const along = Math.min(Math.max((pixel - box.left) / (box.right - box.left), 0), 1);
     const [low, high] = x.range;

@@ -1,0 +1,110 @@
+"""Tabs, keys, commands, themes: what holds the panels of the page together."""
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+
+from tests.browser.driving import Viewer
+
+pytestmark = pytest.mark.browser
+
+
+def test_tabs_are_moved_by_arrow_keys_and_kept_in_the_address(viewer: Viewer) -> None:
+    page = viewer.page
+    page.get_by_role("tab", name="Summary").click()
+    page.keyboard.press("ArrowLeft")
+    expect(page.get_by_role("tab", name="Share")).to_be_focused()
+    expect(page.get_by_role("tabpanel", name="Share")).to_be_visible()
+    expect(page.get_by_role("tabpanel", name="Summary")).to_be_hidden()
+    assert page.evaluate("location.hash") == "#tab=share"
+    page.keyboard.press("Home")
+    expect(page.get_by_role("tab", name="Summary")).to_have_attribute("aria-selected", "true")
+
+
+def test_keys_work_while_the_scene_has_the_focus_but_not_while_typing(viewer: Viewer) -> None:
+    page = viewer.page
+    page.frame_locator("#scene").locator("canvas[data-engine]").click()
+    page.keyboard.press("4")
+    expect(page.get_by_role("tab", name="Plots")).to_have_attribute("aria-selected", "true")
+    page.get_by_label("Error scale", exact=True).focus()
+    page.keyboard.press("1")
+    expect(page.get_by_role("tab", name="Plots")).to_have_attribute("aria-selected", "true")
+    page.keyboard.press("Escape")
+    page.get_by_role("tab", name="Plots").press("1")
+    expect(page.get_by_role("tab", name="Summary")).to_have_attribute("aria-selected", "true")
+    page.get_by_label("Error scale", exact=True).fill("0.25")
+
+
+def test_commands_are_found_by_words_and_run_by_enter(viewer: Viewer) -> None:
+    page = viewer.page
+    page.frame_locator("#scene").locator("canvas[data-engine]").click()
+    page.keyboard.press("Control+k")
+    page.keyboard.type("colour feat")
+    expect(page.locator("#commands [role=option]")).to_have_count(1)
+    page.keyboard.press("Enter")
+    expect(page.locator("#commands")).to_be_hidden()
+    expect(page.get_by_role("radio", name="Features")).to_be_checked()
+
+
+def test_help_lists_every_key(viewer: Viewer) -> None:
+    page = viewer.page
+    page.get_by_role("tab", name="Summary").press("?")
+    listed = page.locator("#help li")
+    for label, key in [("Show summary", "1"), ("Find a command", "/"), ("Light or dark", "t")]:
+        expect(listed.filter(has_text=label).locator("kbd", has_text=key).first).to_be_visible()
+    page.keyboard.press("Escape")
+    expect(page.locator("#help")).to_be_hidden()
+
+
+def test_the_theme_follows_the_system_until_another_is_chosen(viewer: Viewer) -> None:
+    page = viewer.page
+    ground = "getComputedStyle(document.body).backgroundColor"
+    page.emulate_media(color_scheme="dark")
+    dark = page.evaluate(ground)
+    page.emulate_media(color_scheme="light")
+    light = page.evaluate(ground)
+    assert light != dark
+    assert viewer.frame.evaluate(ground) != dark
+    page.get_by_role("button", name="Light or dark").click()
+    assert page.evaluate(ground) == dark
+    page.reload()
+    assert page.evaluate(ground) == dark
+    # Back to what the system has, which it follows again.
+    page.get_by_role("button", name="Light or dark").click()
+    page.emulate_media(color_scheme="dark")
+    assert page.evaluate(ground) == dark
+    page.emulate_media(color_scheme=None)
+
+
+def test_the_dock_is_made_higher_by_button_and_by_keys(viewer: Viewer) -> None:
+    page = viewer.page
+    dock, stage = page.locator("#dock"), page.locator(".stage")
+    height = lambda locator: locator.evaluate("element => element.offsetHeight")  # noqa: E731
+    usual = height(dock)
+    page.get_by_role("button", name="Higher results").click()
+    assert height(dock) > 1.5 * usual
+    assert height(stage) >= 200
+    page.get_by_role("button", name="Higher results").click()
+    assert height(dock) == usual
+    page.get_by_role("separator", name="Height of the results").press("ArrowUp")
+    assert height(dock) == usual + 24
+    page.get_by_role("separator", name="Height of the results").dblclick()
+    assert height(dock) == usual
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_axe_finds_nothing_serious_on_any_tab(viewer: Viewer, theme: str) -> None:
+    page = viewer.page
+    page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
+    found = []
+    for tab in page.get_by_role("tab").all():
+        tab.click()
+        # The scene's frame is another program's canvas, without text or controls.
+        results = Axe().run(page, context={"exclude": [["#scene"]]}, options={"iframes": False})
+        for violation in results.response["violations"]:
+            if violation["impact"] in ("serious", "critical"):
+                where = [node["target"] for node in violation["nodes"]]
+                found.append((tab.text_content(), violation["id"], where))
+    page.get_by_role("tab").first.click()
+    page.emulate_media(color_scheme=None)
+    assert found == []
