@@ -45,19 +45,49 @@ def estimate_lrf(
     if len(indices) == 0:
         return np.zeros((0, 3, 3)), np.zeros(0, dtype=np.bool_)
     grid = build_grid(points, cell_size=radius / 2)
-    queries = grid.local(points[indices])
-    covariances, counts = _covariances(grid, queries, radius)
+    queries, z_axes = grid.local(points[indices]), normals[indices]
+    frames = np.empty((len(indices), 3, 3))
+    defined = np.empty(len(indices), dtype=np.bool_)
+
+    def fill(part: slice) -> None:
+        frames[part], defined[part] = _frames(grid, queries[part], z_axes[part], np.float32(radius), kind)
+
+    for_each_block(fill, len(indices), block=_BLOCK)
+    return frames, defined
+
+
+def _frames(
+    grid: Grid,
+    queries: Float32[np.ndarray, "K 3"],
+    normals: Float64[np.ndarray, "K 3"],
+    radius: np.float32,
+    kind: Literal["normal", "paper"],
+) -> tuple[Float64[np.ndarray, "K 3 3"], Bool[np.ndarray, "K"]]:
+    """Frames at `queries`, whose normals are given, and which of them are defined."""
+    covariances = np.zeros((len(queries), 3, 3))
+    counts = np.zeros(len(queries), np.int64)
+    _fill_covariances(queries, *grid.arguments(), radius, covariances, counts)
     defined = counts >= MIN_NEIGHBORS
     vectors = np.linalg.eigh(covariances)[1]  # columns, ascending eigenvalues
+
+    def turned(axes: Float64[np.ndarray, "K 3"]) -> Float64[np.ndarray, "K 3"]:
+        """Axes on the side where at least half of the neighbours lie.
+
+        On an exact tie the five neighbours around the median distance vote, as in PCL's SHOT frame.
+        """
+        signs = np.ones(len(queries))
+        _fill_signs(queries, *grid.arguments(), radius, axes, counts, signs)
+        return axes * signs[:, None]
+
     x, z = np.ascontiguousarray(vectors[:, :, 2]), np.ascontiguousarray(vectors[:, :, 0])
-    x = x * _signs(grid, queries, x, counts, radius)[:, None]
+    x = turned(x)
     if kind == "paper":
-        z = z * _signs(grid, queries, z, counts, radius)[:, None]
+        z = turned(z)
         frames = np.stack([x, np.cross(z, x), z], axis=1)
         # Quirk: negating three axes makes these frames left-handed; pinned by the golden test of the histogram.
-        frames[np.einsum("kd,kd->k", z, normals[indices]) < 0] *= -1
+        frames[np.einsum("kd,kd->k", z, normals) < 0] *= -1
     else:
-        z = normals[indices]
+        z = normals
         x = x - np.einsum("kd,kd->k", x, z)[:, None] * z
         length = np.linalg.norm(x, axis=1)
         # A normal along the largest axis leaves no x: such a neighbourhood is a spike, not a surface.
@@ -66,44 +96,6 @@ def estimate_lrf(
         frames = np.stack([x, np.cross(z, x), z], axis=1)
     frames[~defined] = 0.0
     return frames, defined
-
-
-def _covariances(
-    grid: Grid, queries: Float32[np.ndarray, "K 3"], radius: float
-) -> tuple[Float64[np.ndarray, "K 3 3"], Int64[np.ndarray, "K"]]:
-    """Covariance around each query, weighted by radius minus distance, and the number of neighbours."""
-    covariances = np.zeros((len(queries), 3, 3))
-    counts = np.zeros(len(queries), np.int64)
-    for_each_block(
-        lambda rows: _fill_covariances(
-            queries[rows], *grid.arguments(), np.float32(radius), covariances[rows], counts[rows]
-        ),
-        len(queries),
-        block=_BLOCK,
-    )
-    return covariances, counts
-
-
-def _signs(
-    grid: Grid,
-    queries: Float32[np.ndarray, "K 3"],
-    axes: Float64[np.ndarray, "K 3"],
-    counts: Int64[np.ndarray, "K"],
-    radius: float,
-) -> Float64[np.ndarray, "K"]:
-    """+1 where at least half of the neighbours lie on the positive side of the axis, else -1.
-
-    On an exact tie the five neighbours around the median distance vote, as in PCL's SHOT frame.
-    """
-    signs = np.ones(len(queries))
-    for_each_block(
-        lambda rows: _fill_signs(
-            queries[rows], *grid.arguments(), np.float32(radius), axes[rows], counts[rows], signs[rows]
-        ),
-        len(queries),
-        block=_BLOCK,
-    )
-    return signs
 
 
 @njit(cache=True, nogil=True)
