@@ -114,9 +114,16 @@ class Scores:
 class Analyst:
     """Runs the stages, from the first that changed: `run` for one thread, `register` for another."""
 
-    def __init__(self, load: Callable[[int], Pair], *, given_estimate: Transform | None = None) -> None:
+    def __init__(
+        self,
+        load: Callable[[int], Pair],
+        *,
+        given_estimate: Transform | None = None,
+        disk: pipeline.DiskCache | None = None,
+    ) -> None:
         self._load = load
         self._given_estimate = given_estimate
+        self._disk = disk
         self._cache = StageCache()
         self._registrations = StageCache()
 
@@ -172,10 +179,11 @@ class Analyst:
             job.progress(start, text)
             return self._cache.get(
                 "describe",
-                (analysis.index, side, resolved.description_key),
-                lambda: pipeline.describe(
+                pipeline.feature_key(cloud, resolved),
+                lambda: pipeline.describe_cached(
                     cloud,
                     resolved,
+                    self._disk,
                     progress=lambda share, _: job.progress(start + (end - start) * share, text),
                     cancelled=job.is_cancelled,
                 ),
@@ -195,7 +203,7 @@ class Analyst:
         assert target is not None
 
         def match(first: Features, second: Features) -> MatchTable:
-            return pipeline.match_features(first, second, resolved, cancelled=job.is_cancelled)
+            return pipeline.match_cached(first, second, resolved, self._disk, cancelled=job.is_cancelled)
 
         def match_both() -> tuple[MatchTable, MatchTable]:
             # Two threads that multiply small matrices are faster than one whose products each start threads.
@@ -203,7 +211,7 @@ class Analyst:
                 forward, back = pool.submit(match, source, target), pool.submit(match, target, source)
                 return forward.result(), back.result()
 
-        matches, back = self._cache.get("match", (analysis.index, resolved.match_key), match_both)
+        matches, back = self._cache.get("match", pipeline.match_key(source, target), match_both)
         return replace(analysis, matches=matches, back_matches=back)
 
     def register(self, analysis: Analysis) -> RegistrationResult:

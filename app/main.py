@@ -65,6 +65,10 @@ def build_parser() -> argparse.ArgumentParser:
     cli.add_feature_options(parser)
     cli.add_matching_options(parser)
     cli.add_loading_options(parser)
+    parser.add_argument_group("cache").add_argument(
+        "--no-cache", action="store_true", help="neither read nor write what earlier runs computed (in the user's "
+        "folder for caches, 1 GB at most)",
+    )  # fmt: skip
     server = parser.add_argument_group("server")
     server.add_argument(
         "--port",
@@ -108,7 +112,8 @@ def open_session(options: argparse.Namespace) -> "Session":
     pair = sources[0].load()
     wanted = cli.feature_settings(options)
     pipeline.resolve(wanted, *pipeline.correct(wanted, pair.source, pair.target))
-    return Session(sources, ViewSettings.of_pair(wanted), given_estimate=_read_estimate(options))
+    disk = None if options.no_cache else pipeline.DiskCache()
+    return Session(sources, ViewSettings.of_pair(wanted), given_estimate=_read_estimate(options), disk=disk)
 
 
 def open_pairs(options: argparse.Namespace) -> "list[PairSource]":

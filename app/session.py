@@ -42,7 +42,12 @@ class Session:
     """One run of the viewer. Its methods may be called from any thread; listeners are called from several."""
 
     def __init__(
-        self, pairs: Sequence[PairSource], settings: ViewSettings, *, given_estimate: Transform | None = None
+        self,
+        pairs: Sequence[PairSource],
+        settings: ViewSettings,
+        *,
+        given_estimate: Transform | None = None,
+        disk: pipeline.DiskCache | None = None,
     ) -> None:
         """Open `pairs` with the first settings; nothing runs before `start`.
 
@@ -50,9 +55,10 @@ class Session:
             pairs: At least one.
             settings: From the command line.
             given_estimate: A pose of the first pair to be diagnosed.
+            disk: Where features and matches are kept from one run to the next; None keeps them nowhere.
         """
         self._pairs = tuple(pairs)
-        self._analyst = Analyst(lambda index: self._pairs[index].load(), given_estimate=given_estimate)
+        self._analyst = Analyst(lambda index: self._pairs[index].load(), given_estimate=given_estimate, disk=disk)
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
         self._settings = settings

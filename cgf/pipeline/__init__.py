@@ -7,6 +7,7 @@ are `InputError`s and name the option of the command line.
 """
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
+from cgf.pipeline.cache import DiskCache, describe_cached, feature_key, match_cached, match_key
 from cgf.pipeline.inspection import PointInspection, Surroundings, best_turn, far_modes, inspect_point
 from cgf.pipeline.registering import RegistrationSettings, register_pair, registration_warning
 from cgf.pipeline.rejection import REJECTIONS, Rejection, rejections
@@ -37,6 +38,7 @@ __all__ = [
     "MODEL_DEFAULTS",
     "REJECTIONS",
     "Corrections",
+    "DiskCache",
     "ModelChoice",
     "PairResult",
     "PairSettings",
@@ -51,11 +53,15 @@ __all__ = [
     "choose_model",
     "correct",
     "describe",
+    "describe_cached",
     "far_modes",
+    "feature_key",
     "filtered_rows",
     "inspect_point",
     "load_pair",
+    "match_cached",
     "match_features",
+    "match_key",
     "prepare",
     "register_pair",
     "registration_warning",

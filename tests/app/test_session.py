@@ -169,7 +169,9 @@ class Counted:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: list[str] = []
         for name in ("prepare", "describe", "match_features", "register_pair"):
-            monkeypatch.setattr(pipeline, name, self._counting(name, getattr(pipeline, name)))
+            for module in (pipeline, pipeline.cache):
+                if hasattr(module, name):
+                    monkeypatch.setattr(module, name, self._counting(name, getattr(module, name)))
 
     def _counting(self, name: str, function: Callable[..., object]) -> Callable[..., object]:
         def counted(*arguments: object, **named: object) -> object:
@@ -372,3 +374,19 @@ def test_the_legend_is_painted_by_the_function_that_painted_the_points(session: 
     assert painted <= {*legend.ramp, *(swatch.color for swatch in legend.swatches)}
     assert legend.ramp[0] != legend.ramp[-1] == "#000000"
     assert legend.scale == pytest.approx(0.25)
+
+
+def test_a_second_run_of_the_viewer_computes_nothing_again(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = pipeline.DiskCache(tmp_path_factory.mktemp("cache"))
+    snapshots = []
+    for _ in range(2):
+        session = Session([source_of(hills())], SETTINGS, disk=disk)
+        snapshots.append(run(session))
+        assert snapshots[-1].settled, snapshots[-1].messages
+        session.close()
+        monkeypatch.setattr("cgf.pipeline.cache.describe", None)
+        monkeypatch.setattr("cgf.pipeline.cache.match_features", None)
+    assert snapshots[0].numbers == snapshots[1].numbers
+    assert len(list(disk.folder.iterdir())) == 4
