@@ -54,6 +54,11 @@ class NetworkCard:
     scores: dict[str, float] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def soft(self) -> bool:
+        """Whether the network takes histograms with soft azimuth sectors."""
+        return self.kind == "azimuth"
+
     def defaults(self) -> ModelDefaults:
         """The model's defaults, with the lengths that these weights were trained with."""
         return replace(
@@ -111,7 +116,9 @@ class Network:
         """The weights, with what is derived from them once."""
         if self.card.kind != "azimuth":
             return self.weights
-        return self.weights | {f"tiles.{i}": _filter_tiles(self.weights[f"columns.{i}.weight"]) for i in range(3)}
+        from cgf.descriptors.convolution import filter_tiles
+
+        return self.weights | {f"tiles.{i}": filter_tiles(self.weights[f"columns.{i}.weight"]) for i in range(3)}
 
 
 def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:
@@ -148,50 +155,17 @@ def unit_rows(vectors: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K D"]
 
 def _embed_azimuth(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
     """Circular convolutions over the 12 azimuth columns, then their maximum and mean: turning x changes little."""
+    # Compiled, so imported only where features are computed: reading a card takes no time.
+    from cgf.descriptors.convolution import convolve_circularly
+
     columns = np.sqrt(histograms) * np.float32(INPUT_GAIN)
     # Azimuth first, so that a column of all points is one matrix.
     columns = np.ascontiguousarray(columns.reshape(-1, AZIMUTH_BINS, COLUMN_BINS).transpose(1, 0, 2))
     for i in range(3):
-        columns = _convolve_circularly(columns, weights[f"tiles.{i}"])
-        columns += weights[f"columns.{i}.bias"]
-        np.maximum(columns, 0, out=columns)
+        columns = convolve_circularly(columns, weights[f"tiles.{i}"], weights[f"columns.{i}.bias"])
     pooled = np.concatenate([columns.max(axis=0), columns.mean(axis=0)], axis=1)
     hidden = np.maximum(pooled @ weights["hidden.weight"].T + weights["hidden.bias"], 0)
     return unit_rows(hidden @ weights["out.weight"].T + weights["out.bias"])
-
-
-# Winograd's minimal filtering F(4, 3): four outputs of a filter of three taps by 6 products instead of 12 (Lavin and
-# Gray, Fast Algorithms for Convolutional Neural Networks, 2016).
-_TILE_OF_INPUT = np.array(
-    [[4, 0, -5, 0, 1, 0], [0, -4, -4, 1, 1, 0], [0, 4, -4, -1, 1, 0], [0, -2, -1, 2, 1, 0], [0, 2, -1, -2, 1, 0],
-     [0, 4, 0, -5, 0, 1]], dtype=np.float32,
-)  # fmt: skip
-_TILE_OF_FILTER = np.array(
-    [[1 / 4, 0, 0], [-1 / 6, -1 / 6, -1 / 6], [-1 / 6, 1 / 6, -1 / 6], [1 / 24, 1 / 12, 1 / 6],
-     [1 / 24, -1 / 12, 1 / 6], [0, 0, 1]],
-)  # fmt: skip
-_OUTPUT_OF_TILE = np.array(
-    [[1, 1, 1, 1, 1, 0], [0, 1, -1, 2, -2, 0], [0, 1, 1, 4, 4, 0], [0, 1, -1, 8, -8, 1]], dtype=np.float32
-)
-_TILES = AZIMUTH_BINS // 4
-_TILE_COLUMNS = (4 * np.arange(_TILES) + np.arange(-1, 5)[:, None]) % AZIMUTH_BINS
-
-
-def _filter_tiles(weight: Float32[np.ndarray, "O I3"]) -> Float32[np.ndarray, "6 I O"]:
-    """The three taps of a layer, transformed for `_convolve_circularly`."""
-    taps = np.stack(np.split(weight.astype(np.float64), 3, axis=1))
-    return np.ascontiguousarray(np.einsum("wk,koi->wio", _TILE_OF_FILTER, taps), dtype=np.float32)
-
-
-def _convolve_circularly(
-    columns: Float32[np.ndarray, "12 K I"], tiles: Float32[np.ndarray, "6 I O"]
-) -> Float32[np.ndarray, "12 K O"]:
-    """Each column from itself and its two neighbours; half the products of doing so directly."""
-    count, width = columns.shape[1:]
-    spread = _TILE_OF_INPUT @ columns[_TILE_COLUMNS].reshape(6, -1)
-    products = np.matmul(spread.reshape(6, _TILES * count, width), tiles)
-    outputs = (_OUTPUT_OF_TILE @ products.reshape(6, -1)).reshape(4, _TILES, count, -1)
-    return np.ascontiguousarray(outputs.transpose(1, 0, 2, 3)).reshape(AZIMUTH_BINS, count, -1)
 
 
 def _embed_paper(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
