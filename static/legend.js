@@ -8,6 +8,12 @@ export function renderLegend({ legend, reference, unit }) {
   const against = legend.coloring === "error" && reference === "estimate" ? ", relative to the estimate" : "";
   $("legend-title").textContent = legend.title + against;
   $("legend-title").title = legend.title + against;
+  // First, as they take room from the ramp.
+  $("swatches").replaceChildren(...legend.swatches.map(({ color, label }) => {
+    const dot = element("i");
+    dot.style.background = color;
+    return element("li", { title: label }, dot, label);
+  }));
   $("ramp").hidden = legend.ramp.length === 0;
   if (legend.ramp.length) {
     const canvas = $("ramp-colors");
@@ -28,11 +34,6 @@ export function renderLegend({ legend, reference, unit }) {
     }));
     thinTicks();
   }
-  $("swatches").replaceChildren(...legend.swatches.map(({ color, label }) => {
-    const dot = element("i");
-    dot.style.background = color;
-    return element("li", { title: label }, dot, label);
-  }));
 }
 
 /** Drop the labels that the last one, or the one before, leaves no room for. */

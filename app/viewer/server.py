@@ -19,9 +19,10 @@ _NEEDED = ("ViewerCameraMessage",)
 # What viser's own panel, notices and palette would show is on our page, with labels and without covering the scene. Its
 # sorter for Gaussian splats, which are never drawn here, needs `eval`; that our policy refuses it is no error.
 _CLIENT_HEAD = """<style>
-  :root { color-scheme: light dark; }
-  :root[data-theme="light"] { color-scheme: light; }
-  :root[data-theme="dark"] { color-scheme: dark; }
+  /* Named twice, to weigh more than viser's own choice. */
+  :root:root { color-scheme: light dark; }
+  :root:root[data-theme="light"] { color-scheme: light; }
+  :root:root[data-theme="dark"] { color-scheme: dark; }
   html, body { background: light-dark(#d3dae3, #2a323e); }
   canvas[data-engine] { background: radial-gradient(ellipse at 50% 42%,
     light-dark(#eef1f4, #465062) 0%, light-dark(#dde3ea, #343d4b) 55%, light-dark(#cdd5df, #29313d) 100%); }

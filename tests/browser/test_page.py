@@ -135,7 +135,8 @@ def test_the_keyboard_reaches_and_moves_the_controls(viewer: Viewer) -> None:
     viewer.page.keyboard.press("ArrowRight")
     expect(viewer.page.get_by_role("radio", name="Features")).to_be_checked()
     viewer.page.get_by_label("Lines", exact=True).focus()
-    viewer.page.keyboard.press("End")
+    with viewer.page.expect_response("**/api/settings"):
+        viewer.page.keyboard.press("End")
     expect(viewer.page.locator("#line_count-value")).to_have_text("2,000")
     assert viewer.settle()["settings"]["line_count"] == 2000
 

@@ -59,14 +59,16 @@ def test_help_lists_every_key(viewer: Viewer) -> None:
 def test_the_theme_follows_the_system_until_another_is_chosen(viewer: Viewer) -> None:
     page = viewer.page
     ground = "getComputedStyle(document.body).backgroundColor"
+    scene = "getComputedStyle(document.querySelector('canvas[data-engine]')).backgroundImage"
     page.emulate_media(color_scheme="dark")
-    dark = page.evaluate(ground)
+    dark, dark_scene = page.evaluate(ground), viewer.frame.evaluate(scene)
     page.emulate_media(color_scheme="light")
     light = page.evaluate(ground)
     assert light != dark
-    assert viewer.frame.evaluate(ground) != dark
+    assert viewer.frame.evaluate(scene) != dark_scene
     page.get_by_role("button", name="Light or dark").click()
     assert page.evaluate(ground) == dark
+    assert viewer.frame.evaluate(scene) == dark_scene
     page.reload()
     assert page.evaluate(ground) == dark
     # Back to what the system has, which it follows again.
