@@ -3,7 +3,7 @@
 import argparse
 import json
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,13 +19,16 @@ from cgf.cli.common import (
 
 if TYPE_CHECKING:
     from cgf.pipeline import PairResult, RegistrationSettings, ResolvedSettings
-    from cgf.types import Pair, RegistrationResult
+    from cgf.types import Features, Pair, PointCloud, Progress, RegistrationResult
 
 
 def describe_options(parser: argparse.ArgumentParser) -> None:
     """Options of `cgf describe`."""
     parser.add_argument("cloud", type=Path, help="the cloud: PLY, PCD, XYZ, OBJ, STL, NPY or NPZ")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="features.npz")
+    parser.add_argument(
+        "--all-points", action="store_true", help="features of every point of the file, interpolated from one a voxel"
+    )
     add_feature_options(parser)
     add_loading_options(parser)
 
@@ -44,9 +47,12 @@ def describe(options: argparse.Namespace) -> int:
         raw, _ = pipeline.correct(wanted, raw, raw)
         settings = pipeline.resolve(wanted, raw, raw)
         _note_choice(options, settings)
-        cloud = pipeline.prepare(raw, settings)
-        features = pipeline.at_dim(pipeline.describe(cloud, settings, progress=progress), settings)
-    described = cloud.take(features.indices)
+        if options.all_points:
+            described, features = _describe_all(raw, settings, progress)
+        else:
+            cloud = pipeline.prepare(raw, settings)
+            features = pipeline.at_dim(pipeline.describe(cloud, settings, progress=progress), settings)
+            described = cloud.take(features.indices)
     arrays: dict[str, Any] = {
         "points": described.points,
         "normals": described.normals,
@@ -57,10 +63,25 @@ def describe(options: argparse.Namespace) -> int:
     write_whole(options.output, lambda file: np.savez_compressed(file, **arrays))
     note(
         options,
-        f"Described {len(features):,} of {len(cloud):,} points ({len(raw):,} in the file) by {features.dim} values.",
+        f"Described {len(features):,} points ({len(raw):,} in the file) by {features.dim} values.",
     )
     note(options, f"Wrote {options.output}")
     return 0
+
+
+def _describe_all(
+    cloud: "PointCloud", settings: "ResolvedSettings", progress: "Progress | None"
+) -> "tuple[PointCloud, Features]":
+    """The points of the file with their features, and with the normals of the nearest described points if need be."""
+    from cgf import pipeline
+
+    features, prepared, few = pipeline.describe_all(cloud, settings, progress=progress)
+    described = cloud.take(features.indices)
+    if described.normals is None:
+        assert prepared.normals is not None
+        rows = few.indices[pipeline.nearest_described(described.points, prepared, few)]
+        described = replace(described, normals=prepared.normals[rows])
+    return described, features
 
 
 def _pair_options(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ are `InputError`s and name the option of the command line.
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.pipeline.cache import DiskCache, describe_cached, feature_key, match_cached, match_key
+from cgf.pipeline.dense import describe_all, interpolate, nearest_described
 from cgf.pipeline.inspection import PointInspection, Surroundings, best_turn, far_modes, inspect_point
 from cgf.pipeline.registering import RegistrationSettings, register_pair, registration_warning
 from cgf.pipeline.rejection import REJECTIONS, Rejection, rejections
@@ -53,15 +54,18 @@ __all__ = [
     "choose_model",
     "correct",
     "describe",
+    "describe_all",
     "describe_cached",
     "far_modes",
     "feature_key",
     "filtered_rows",
     "inspect_point",
+    "interpolate",
     "load_pair",
     "match_cached",
     "match_features",
     "match_key",
+    "nearest_described",
     "prepare",
     "register_pair",
     "registration_warning",

@@ -61,6 +61,16 @@ def test_describe_writes_points_with_their_features(folder: Path, tmp_path: Path
     assert "by 33 values." in said.err
 
 
+def test_describe_writes_every_point_of_the_file_where_asked_to(folder: Path, tmp_path: Path) -> None:
+    output = tmp_path / "features.npz"
+    assert cli.main(["describe", str(folder / "target.npz"), "-o", str(output), "--all-points", *OPTIONS]) == 0
+    with np.load(output) as arrays, np.load(folder / "target.npz") as cloud:
+        np.testing.assert_array_equal(arrays["points"], cloud["points"][arrays["indices"]])
+        assert arrays["features"].shape == (len(arrays["points"]), 33)
+        assert len(arrays["points"]) > 0.95 * len(cloud["points"])
+        assert arrays["normals"].shape == arrays["points"].shape
+
+
 def test_match_writes_what_the_pipeline_computes_to_the_last_digit(
     folder: Path, clouds: list[str], tmp_path: Path
 ) -> None:
