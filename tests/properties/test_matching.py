@@ -26,8 +26,11 @@ def features(draw: st.DrawFn, dim: int) -> Features:
 
 
 def sq_distances(source: Features, target: Features) -> np.ndarray:
-    goal = target.vectors.astype(np.float64)
-    return np.stack([np.square(row - goal).sum(axis=1) for row in source.vectors.astype(np.float64)])
+    """In float64, summed term by term as the search does, so that ties are the same."""
+    sq = np.zeros((len(source), len(target)))
+    for a, b in zip(source.vectors.astype(np.float64).T, target.vectors.astype(np.float64).T, strict=True):
+        sq += np.square(a[:, None] - b)
+    return sq
 
 
 @given(pairs_of_features())
@@ -37,6 +40,10 @@ def test_matches_are_those_of_brute_force(pair: tuple[Features, Features]) -> No
     np.testing.assert_array_equal(table.correspondences.indices[:, 1], sq.argmin(axis=1))
     np.testing.assert_array_equal(table.correspondences.distances, np.sqrt(sq.min(axis=1)).astype(np.float32))
     np.testing.assert_array_equal(table.mutual, sq.argmin(axis=0)[sq.argmin(axis=1)] == np.arange(len(sq)))
+    if sq.shape[1] > 1:
+        nearest, second = np.sqrt(np.partition(sq, 1, axis=1)[:, :2]).T
+        ratios = np.divide(nearest, second, out=np.ones(len(sq)), where=second > 0)
+        np.testing.assert_array_equal(table.correspondences.ratios, ratios.astype(np.float32))
 
 
 @given(pairs_of_features())

@@ -3,8 +3,9 @@ import re
 import numpy as np
 import pytest
 
-from cgf import matching
 from cgf.matching import MatchTable, filter_rows, match, nearest
+from cgf.matching.search import BLOCK
+from cgf.matching.tiles import LANES, ROWS
 from cgf.types import Cancelled, Correspondences, Features
 
 
@@ -19,8 +20,11 @@ def unit_vectors(rng: np.random.Generator, count: int, dim: int = 32) -> np.ndar
 
 
 def sq_distances(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """All squared distances in float64, summed in the same order as the search does."""
-    return np.stack([np.square(row - target.astype(np.float64)).sum(axis=1) for row in source.astype(np.float64)])
+    """All squared distances in float64, summed term by term as the search does, so that ties are the same."""
+    sq = np.zeros((len(source), len(target)))
+    for a, b in zip(source.astype(np.float64).T, target.astype(np.float64).T, strict=True):
+        sq += np.square(a[:, None] - b)
+    return sq
 
 
 def assert_brute_force_agrees(source: np.ndarray, target: np.ndarray) -> None:
@@ -35,10 +39,51 @@ def assert_brute_force_agrees(source: np.ndarray, target: np.ndarray) -> None:
     np.testing.assert_array_equal(table.correspondences.ratios, ratios.astype(np.float32))
 
 
-@pytest.mark.parametrize(("sources", "targets"), [(2, 2), (64, 16), (65, 17), (513, 2049), (1100, 4500)])
+@pytest.mark.parametrize(
+    ("sources", "targets"), [(2, 2), (ROWS, LANES), (ROWS + 1, LANES + 1), (BLOCK + 1, 2049), (2 * BLOCK + 5, 4500)]
+)
 def test_matches_are_those_of_brute_force_across_tile_borders(sources: int, targets: int) -> None:
     rng = np.random.default_rng(sources)
     assert_brute_force_agrees(unit_vectors(rng, sources), unit_vectors(rng, targets))
+
+
+@pytest.mark.parametrize("dim", [*range(1, 65), 125, 352])
+def test_matches_are_those_of_brute_force_in_any_dimension(dim: int) -> None:
+    rng = np.random.default_rng(dim)
+    assert_brute_force_agrees(unit_vectors(rng, 70, dim), unit_vectors(rng, 90, dim))
+
+
+@pytest.mark.parametrize(("sources", "targets"), [(1, 1), (1, 40), (40, 1)])
+def test_matches_are_exact_where_a_cloud_has_one_feature(sources: int, targets: int) -> None:
+    rng = np.random.default_rng(8)
+    table = match(features(unit_vectors(rng, sources)), features(unit_vectors(rng, targets)))
+    rng = np.random.default_rng(8)
+    sq = sq_distances(unit_vectors(rng, sources), unit_vectors(rng, targets))
+    np.testing.assert_array_equal(table.correspondences.indices[:, 1], sq.argmin(axis=1))
+    np.testing.assert_array_equal(table.mutual, sq.argmin(axis=0)[sq.argmin(axis=1)] == np.arange(sources))
+    assert targets > 1 or not table.correspondences.ratios.any()
+
+
+@pytest.mark.parametrize("threads", ["1", "2", "5"])
+def test_matches_do_not_depend_on_the_number_of_threads(threads: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CGF_THREADS", threads)
+    rng = np.random.default_rng(9)
+    # Equal features in different blocks of the source: each target's nearest is the first of them.
+    some = unit_vectors(rng, 2 * BLOCK)
+    assert_brute_force_agrees(np.concatenate([some, some, some[:7]]), unit_vectors(rng, 300))
+
+
+def test_matches_are_exact_where_every_feature_comes_twice() -> None:
+    rng = np.random.default_rng(10)
+    source, target = unit_vectors(rng, 300), unit_vectors(rng, 200)
+    assert_brute_force_agrees(np.concatenate([source, source]), np.concatenate([target, target]))
+    assert_brute_force_agrees(np.repeat(source, 2, axis=0), np.repeat(source, 2, axis=0))
+
+
+def test_matches_do_not_change_when_features_are_a_view() -> None:
+    rng = np.random.default_rng(11)
+    wide, target = unit_vectors(rng, 80, 24), unit_vectors(rng, 60, 12)
+    assert_brute_force_agrees(wide[:, ::2], target)
 
 
 @pytest.mark.parametrize(("scale", "offset"), [(1e-18, 0.0), (1e15, 0.0), (1.0, 1e3), (200.0, 200.0)])
@@ -157,7 +202,7 @@ def test_cancelled_matching_stops() -> None:
 def test_progress_rises_to_one() -> None:
     told: list[float] = []
     rng = np.random.default_rng(7)
-    source = features(unit_vectors(rng, 2 * matching.TILE_ROWS + 1, 4))
+    source = features(unit_vectors(rng, 2 * BLOCK + 1, 4))
     match(source, source, progress=lambda share, _: told.append(share))
     assert told == sorted(told)
     assert len(told) == 3
