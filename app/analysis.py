@@ -1,9 +1,11 @@
 """The stages of one pair, each kept until a setting that it depends on changes."""
 
+import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -11,11 +13,12 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from app.jobs import Job
+from app.preview import borrowing, choose_rows
 from app.settings import Reference, ViewSettings
 from app.shown import Shown, choose_shown
 from cgf import pipeline
-from cgf.evaluation.matches import MatchErrors, match_errors
-from cgf.evaluation.metrics import has_partner
+from cgf.evaluation.matches import MatchErrors
+from cgf.evaluation.metrics import correspondence_errors, has_partner
 from cgf.geometry import transforms
 from cgf.matching import MatchTable, filter_rows
 from cgf.pipeline import PairSettings, ResolvedSettings
@@ -27,12 +30,26 @@ Mask = npt.NDArray[np.bool_]
 _KEPT = {"load": 3, "correct": 3, "prepare": 6, "show": 6, "describe": 8, "match": 24, "register": 64}
 """How many results of each stage are kept; features are the largest, 33 MB for 65,000 points in 128 dimensions."""
 
+PREVIEWED = ("cgf", "pca")
+"""Descriptors that describe a few points in a fraction of the time of all."""
+PREVIEW_S = (0.08, 0.6)
+"""Time to describe the points of the first preview, and of the next one where it is worth while."""
+LARGEST_PREVIEW = 0.4
+"""Share of the points beyond which all of them come nearly as soon."""
+FEWEST_PREVIEWED = 64
+USUAL_POINTS_PER_S = 4_000.0
+"""Until the first description is timed."""
+
 
 class StageCache:
     """Results of stages by what they depend on; the longest unused one goes first. For one thread at a time."""
 
     def __init__(self) -> None:
         self._results: dict[str, OrderedDict[Hashable, Any]] = {stage: OrderedDict() for stage in _KEPT}
+
+    def has(self, stage: str, key: Hashable) -> bool:
+        """Whether `get` would find something."""
+        return key in self._results[stage]
 
     def get(self, stage: str, key: Hashable, compute: Callable[[], Value]) -> Value:
         """The result kept under `key`, or else a new one; a failed or cancelled computation leaves nothing behind."""
@@ -85,6 +102,11 @@ class Analysis:
             return self.given_estimate
         return None if self.registration is None else self.registration.target_from_source
 
+    @property
+    def described_points(self) -> int:
+        """Points with a feature in both clouds together."""
+        return len(self.source_features or ()) + len(self.target_features or ())
+
     def reference(self, wanted: Reference | None) -> tuple[Reference, Transform] | None:
         """The pose that errors are measured against: the wanted one where it is known, else the other."""
         known: dict[Reference, Transform | None] = {"ground_truth": self.truth, "estimate": self.estimate}
@@ -126,9 +148,23 @@ class Analyst:
         self._disk = disk
         self._cache = StageCache()
         self._registrations = StageCache()
+        self._last_registrations: dict[int, RegistrationResult] = {}
+        self._points_per_s = USUAL_POINTS_PER_S
 
-    def run(self, settings: ViewSettings, job: Job, show: Callable[[Analysis], None]) -> None:
+    def run(
+        self,
+        settings: ViewSettings,
+        job: Job,
+        show: Callable[[Analysis], None],
+        show_preview: Callable[[Analysis], None],
+    ) -> None:
         """Do what `settings` ask for up to the matches, and show it stage by stage.
+
+        Args:
+            settings: What is asked for.
+            job: Told of progress, and asked whether to give up.
+            show: Given what is known after each stage.
+            show_preview: Given what a few points are like while all of them are described.
 
         Raises:
             InputError: A file or setting cannot be used.
@@ -141,6 +177,7 @@ class Analyst:
         job.progress(0.03, "Preparing the clouds")
         analysis = self._prepared(settings.pair, pair, resolved)
         show(analysis)
+        self._preview(analysis, settings, job, show_preview)
         analysis = self._described(analysis, job)
         show(analysis)
         job.progress(0.85, "Matching features")
@@ -171,23 +208,63 @@ class Analyst:
         estimate = self._given_estimate if index == 0 else None
         return Analysis(index, pair, resolved, source, target, source_shown, target_shown, given_estimate=estimate)
 
+    def _preview(self, analysis: Analysis, settings: ViewSettings, job: Job, show: Callable[[Analysis], None]) -> None:
+        """Describe, match and show a few points, and then more of them, where describing all takes long."""
+        resolved, source, target = analysis.resolved, analysis.source, analysis.target
+        keys = [pipeline.feature_key(cloud, resolved) for cloud in (source, target)]
+        known = [self._cache.has("describe", key) or (self._disk is not None and key in self._disk) for key in keys]
+        if all(known) or resolved.descriptor not in PREVIEWED:
+            return
+        judged = replace(analysis, registration=self._last_registrations.get(analysis.index))
+        reference = judged.reference(settings.reference)
+        for seconds in PREVIEW_S:
+            count = max(int(self._points_per_s * seconds / 2), FEWEST_PREVIEWED)
+            if 2 * count > LARGEST_PREVIEW * (len(source) + len(target)):
+                return
+            text = f"Preview from {2 * count:,} points"
+            job.progress(0.05, text)
+            rows = choose_rows(
+                source, target, count=count, target_from_source=None if reference is None else reference[1]
+            )
+            features = [
+                pipeline.describe(cloud, resolved, indices=some, cancelled=job.is_cancelled)
+                for cloud, some in zip((source, target), rows, strict=True)
+            ]
+            preview = replace(
+                judged,
+                source_features=pipeline.at_dim(features[0], resolved),
+                target_features=pipeline.at_dim(features[1], resolved),
+                source_shown=borrowing(analysis.source_shown, source, features[0]),
+                target_shown=borrowing(analysis.target_shown, target, features[1]),
+            )
+            matches, back = (
+                pipeline.match_features(first, second, resolved, cancelled=job.is_cancelled)
+                for first, second in (features, features[::-1])
+            )
+            show(replace(preview, matches=matches, back_matches=back))
+
     def _described(self, analysis: Analysis, job: Job) -> Analysis:
         resolved = analysis.resolved
 
         def describe(side: str, cloud: PointCloud, start: float, end: float) -> Features:
             text = f"Describing the {side}"
             job.progress(start, text)
-            return self._cache.get(
-                "describe",
-                pipeline.feature_key(cloud, resolved),
-                lambda: pipeline.describe_cached(
-                    cloud,
-                    resolved,
-                    self._disk,
-                    progress=lambda share, _: job.progress(start + (end - start) * share, text),
-                    cancelled=job.is_cancelled,
-                ),
+            key = pipeline.feature_key(cloud, resolved)
+            return self._cache.get("describe", key, lambda: compute(key, cloud, start, end, text))
+
+        def compute(key: str, cloud: PointCloud, start: float, end: float, text: str) -> Features:
+            held = self._disk is not None and key in self._disk
+            started = time.perf_counter()
+            features = pipeline.describe_cached(
+                cloud,
+                resolved,
+                self._disk,
+                progress=lambda share, _: job.progress(start + (end - start) * share, text),
+                cancelled=job.is_cancelled,
             )
+            if not held:
+                self._points_per_s = len(cloud) / (time.perf_counter() - started)
+            return features
 
         source = describe("source", analysis.source, 0.1, 0.48)
         target = describe("target", analysis.target, 0.48, 0.85)
@@ -219,33 +296,57 @@ class Analyst:
         resolved, matches = analysis.resolved, analysis.matches
         assert matches is not None
         correspondences = matches.correspondences.take(pipeline.filtered_rows(matches, resolved))
-        return self._registrations.get(
+        registration = self._registrations.get(
             "register",
             (analysis.index, resolved.match_key, resolved.mutual, resolved.max_ratio),
             lambda: pipeline.register_pair(analysis.source, analysis.target, correspondences, resolved),
         )
+        self._last_registrations[analysis.index] = registration
+        return registration
+
+
+@lru_cache(maxsize=4)
+def _partners(source: PointCloud, target: PointCloud, pose: tuple[float, ...], tau: float) -> tuple[Mask, Mask]:
+    """Which points of either cloud have a partner; asked for again at every change of a dimension or a filter."""
+    target_from_source = np.array(pose).reshape(4, 4)
+    return (
+        has_partner(source.points, target.points, target_from_source, tau=tau),
+        has_partner(target.points, source.points, transforms.invert(target_from_source), tau=tau),
+    )
 
 
 def score(analysis: Analysis, wanted: Reference | None) -> Scores | None:
     """Measure every match under the reference pose; None before there are matches."""
     if analysis.matches is None or analysis.back_matches is None:
         return None
-    source, target, tau = analysis.source, analysis.target, analysis.resolved.tau
+    source, target = analysis.source, analysis.target
+
+    def measured(first: PointCloud, second: PointCloud, table: MatchTable, pose: Transform, has: Mask) -> MatchErrors:
+        rows = table.correspondences.indices
+        return MatchErrors(correspondence_errors(first.points, second.points, rows, pose), has[rows[:, 0]])
+
     known = analysis.reference(wanted)
-    pose = None if known is None else known[1]
-    inverse = None if pose is None else transforms.invert(pose)
-    if pose is None or inverse is None:
-        source_partner, target_partner = np.ones(len(source), dtype=bool), np.ones(len(target), dtype=bool)
-    else:
-        source_partner = has_partner(source.points, target.points, pose, tau=tau)
-        target_partner = has_partner(target.points, source.points, inverse, tau=tau)
+    if known is None:
+        return Scores(
+            reference=None,
+            forward=_unknown_errors(analysis.matches),
+            back=_unknown_errors(analysis.back_matches),
+            source_partner=np.ones(len(source), dtype=np.bool_),
+            target_partner=np.ones(len(target), dtype=np.bool_),
+        )
+    name, pose = known
+    source_partner, target_partner = _partners(source, target, tuple(pose.ravel().tolist()), analysis.resolved.tau)
     return Scores(
-        reference=None if known is None else known[0],
-        forward=match_errors(source, target, analysis.matches, target_from_source=pose, tau=tau),
-        back=match_errors(target, source, analysis.back_matches, target_from_source=inverse, tau=tau),
+        reference=name,
+        forward=measured(source, target, analysis.matches, pose, source_partner),
+        back=measured(target, source, analysis.back_matches, transforms.invert(pose), target_partner),
         source_partner=source_partner,
         target_partner=target_partner,
     )
+
+
+def _unknown_errors(table: MatchTable) -> MatchErrors:
+    return MatchErrors(np.full(len(table), np.nan), np.zeros(len(table), dtype=np.bool_))
 
 
 def kept_rows(table: MatchTable, settings: ViewSettings) -> npt.NDArray[np.int64]:

@@ -4,7 +4,7 @@ The picture is centred and scaled to a fixed size, so that float32 and the viewe
 metres and UTM coordinates alike. Clouds are moved by the pose of their node: a new pose or layout sends no point again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -44,6 +44,7 @@ _FRAMED = 99.9
 
 Floats = npt.NDArray[np.float64]
 Single = npt.NDArray[np.float32]
+_NOTHING: Single = np.zeros((0, 3), dtype=np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,10 @@ class Picture:
 class Placed:
     """The parts of a picture that depend on the clouds alone."""
 
+    frame: object
+    """The same one as long as the same points are drawn in the same place."""
+    clouds: tuple[PointCloud, PointCloud]
+    """Source and target as they are drawn."""
     source_points: Single
     """Those drawn."""
     target_points: Single
@@ -125,28 +130,42 @@ class Placed:
     direction: Floats
 
 
-def place(analysis: Analysis) -> Placed:
-    """Centre and scale the clouds, and find how a person would hold them."""
+def place(analysis: Analysis, before: Placed | None = None) -> Placed:
+    """Centre and scale the clouds, and find how a person would hold them.
+
+    What was placed `before` is taken over as far as it shows the same points, so that nothing is sent again.
+    """
     source, target = analysis.source, analysis.target
-    scale = EXTENT / max(source.diameter, target.diameter)
-    centres = [(cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2 for cloud in (source, target)]
-    up = up_direction(target, room=analysis.resolved.model == "indoor")
-
-    def centred(points: Floats, centre: Floats) -> Single:
-        return ((points - centre) * scale).astype(np.float32)
-
-    return Placed(
-        source_points=centred(analysis.source_shown.cloud.points, centres[0]),
-        target_points=centred(analysis.target_shown.cloud.points, centres[1]),
-        source_prepared=centred(source.points, centres[0]),
-        target_prepared=centred(target.points, centres[1]),
-        source_centre=centres[0],
-        target_centre=centres[1],
-        scale=scale,
-        spacing=max(analysis.source_shown.spacing, analysis.target_shown.spacing) * scale,
-        up=up,
-        direction=view_direction(target, up),
+    clouds = (analysis.source_shown.cloud, analysis.target_shown.cloud)
+    if before is not None and all(old.points is new.points for old, new in zip(before.clouds, clouds, strict=True)):
+        kept = before
+    else:
+        scale = EXTENT / max(source.diameter, target.diameter)
+        centres = [(cloud.points.min(axis=0) + cloud.points.max(axis=0)) / 2 for cloud in (source, target)]
+        up = up_direction(target, room=analysis.resolved.model == "indoor")
+        kept = Placed(
+            frame=object(),
+            clouds=clouds,
+            source_points=_centred(clouds[0], centres[0], scale),
+            target_points=_centred(clouds[1], centres[1], scale),
+            source_prepared=_NOTHING,
+            target_prepared=_NOTHING,
+            source_centre=centres[0],
+            target_centre=centres[1],
+            scale=scale,
+            spacing=max(analysis.source_shown.spacing, analysis.target_shown.spacing) * scale,
+            up=up,
+            direction=view_direction(target, up),
+        )
+    return replace(
+        kept,
+        source_prepared=_centred(source, kept.source_centre, kept.scale),
+        target_prepared=_centred(target, kept.target_centre, kept.scale),
     )
+
+
+def _centred(cloud: PointCloud, centre: Floats, scale: float) -> Single:
+    return ((cloud.points - centre) * scale).astype(np.float32)
 
 
 def up_direction(cloud: PointCloud, *, room: bool) -> Floats:
@@ -227,7 +246,7 @@ def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, plac
         line_points=line_points.astype(np.float32),
         line_colors=colors,
         view=_view(placed, np.concatenate([moved, placed.target_prepared])),
-        scene=(analysis.index, settings.layout, pose_name, placed),
+        scene=(analysis.index, settings.layout, pose_name, placed.frame),
     )
 
 

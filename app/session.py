@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from app import snapshot as snapshots
 from app.analysis import Analysis, Analyst, Scores, kept_rows, score
 from app.jobs import Job, Worker
 from app.picture import Picture, Placed, draw, place
-from app.settings import Reference, ViewSettings
+from app.settings import ViewSettings
 from app.snapshot import CloudInfo, Message, Snapshot, Status
 from cgf import pipeline
 from cgf.checks import InputError
@@ -67,9 +68,10 @@ class Session:
         self._status = Status("working", "Starting", 0.0)
         self._error: str | None = None
         self._analysis: Analysis | None = None
+        self._preview: Analysis | None = None
         self._work_done: tuple[object, ...] | None = None
         self._placed: tuple[Analysis, Placed] | None = None
-        self._scored: tuple[Analysis, Reference | None, Scores | None] | None = None
+        self._score = lru_cache(maxsize=2)(score)
         self._picture: Picture | None = None
         self._snapshot: Snapshot | None = None
         # Estimating a pose cannot be stopped half-way, so it has a thread of its own and holds up nothing.
@@ -160,7 +162,7 @@ class Session:
             if self._status.phase == "working":
                 self._status = Status("failed", "Stopped", 0.0)
                 self._error = "Stopped before the end; what is shown may belong to other settings."
-                self._touch()
+                self._drop_preview()
         self._notify()
 
     def snapshot(self) -> Snapshot:
@@ -196,7 +198,9 @@ class Session:
         self._estimator.cancel()
 
         def work(job: Job) -> None:
-            self._analyst.run(settings, job, lambda analysis: self._show(analysis, job))
+            self._analyst.run(
+                settings, job, lambda analysis: self._show(analysis, job), lambda found: self._show_preview(found, job)
+            )
             with self._lock:
                 job.check()
                 analysis = self._analysis
@@ -236,29 +240,36 @@ class Session:
                     return
                 # Until the new pose is estimated, the last one is a good judge of the new matches.
                 analysis = replace(analysis, registration=shown.registration)
-            self._analysis = analysis
+            self._analysis, self._preview = analysis, None
             self._redraw()
         self._notify()
 
+    def _show_preview(self, preview: Analysis, job: Job) -> None:
+        """Draw a preview; the numbers stay those of the last good result."""
+        with self._lock:
+            job.check()
+            self._preview = preview
+            self._redraw()
+        self._notify()
+
+    def _drop_preview(self) -> None:
+        """Draw the last good result again; called with the lock held."""
+        self._preview = None
+        self._redraw()
+
     def _redraw(self) -> None:
         """Draw what is known under the current settings; called with the lock held."""
-        analysis = self._analysis
+        analysis = self._analysis if self._preview is None else self._preview
         if analysis is not None:
             placed = self._placed
             if placed is None or placed[0].source is not analysis.source or placed[0].target is not analysis.target:
-                self._placed = placed = (analysis, place(analysis))
-            self._picture = draw(analysis, self._scores(), self._settings, placed[1])
+                self._placed = placed = (analysis, place(analysis, None if placed is None else placed[1]))
+            self._picture = draw(analysis, self._score(analysis, self._settings.reference), self._settings, placed[1])
         self._touch()
 
     def _scores(self) -> Scores | None:
-        """Scores of the analysis shown, kept until it or the reference changes; called with the lock held."""
-        analysis = self._analysis
-        if analysis is None:
-            return None
-        wanted: Reference | None = self._settings.reference
-        if self._scored is None or self._scored[0] is not analysis or self._scored[1] != wanted:
-            self._scored = (analysis, wanted, score(analysis, wanted))
-        return self._scored[2]
+        """Scores of the last good result; called with the lock held."""
+        return None if self._analysis is None else self._score(self._analysis, self._settings.reference)
 
     def _touch(self) -> None:
         self._revision += 1
@@ -284,7 +295,7 @@ class Session:
         with self._lock:
             self._status = Status("failed", "Failed", 0.0)
             self._error = text
-            self._touch()
+            self._drop_preview()
         self._notify()
 
     def _build_snapshot(self) -> Snapshot:
@@ -293,9 +304,9 @@ class Session:
         messages = [] if self._error is None else [Message("error", self._error)]
         if analysis is None:
             return Snapshot(
-                revision=self._revision, status=self._status, settled=False, pairs=names, settings=settings,
-                source=None, target=None, unit=None, model=None, controls=None, pose=None, reference=None,
-                numbers=None, estimate=None, curve=None, funnel=(), legend=None, messages=tuple(messages), command="",
+                revision=self._revision, status=self._status, settled=False, previewed=None, pairs=names,
+                settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
+                reference=None, numbers=None, estimate=None, curve=None, funnel=(), legend=None, messages=tuple(messages), command="",
             )  # fmt: skip
         scores = self._scores()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
@@ -318,6 +329,7 @@ class Session:
             revision=self._revision,
             status=self._status,
             settled=False,
+            previewed=None if self._preview is None else self._preview.described_points,
             pairs=names,
             settings=settings,
             source=source,

@@ -35,15 +35,19 @@ def choose_shown(loaded: PointCloud, prepared: PointCloud, *, limit: int = MAX_S
         prepared: Made from it; of one point or more.
         limit: Most points to show, about: voxels grow until no more are left.
     """
-    cloud = loaded
-    if len(loaded) > limit:
-        spacing = median_spacing(loaded.points)
-        # On a surface, the number of voxels falls with the square of their edge.
-        edge = spacing * np.sqrt(len(loaded) / limit)
-        rows = voxel_rows(loaded.points, edge)
-        while len(rows) > limit:
-            edge *= 1.02 * np.sqrt(len(rows) / limit)
-            rows = voxel_rows(loaded.points, edge)
-        cloud = loaded.take(rows)
+    cloud = loaded if len(loaded) <= limit else loaded.take(thinned_rows(loaded.points, limit=limit))
     rows, _ = nearest(prepared.points, cloud.points)
     return Shown(cloud, rows, median_spacing(cloud.points))
+
+
+def thinned_rows(points: npt.NDArray[np.float64], *, limit: int) -> npt.NDArray[np.int64]:
+    """Rows of at most `limit` points, and not many fewer, spread evenly over the surface; ascending."""
+    if len(points) <= limit:
+        return np.arange(len(points), dtype=np.int64)
+    # On a surface, the number of voxels falls with the square of their edge.
+    edge = median_spacing(points) * np.sqrt(len(points) / limit)
+    rows = voxel_rows(points, edge)
+    while len(rows) > limit:
+        edge *= 1.02 * np.sqrt(len(rows) / limit)
+        rows = voxel_rows(points, edge)
+    return rows

@@ -190,6 +190,8 @@ class Snapshot:
     status: Status
     settled: bool
     """Whether everything shown belongs to the settings shown."""
+    previewed: int | None
+    """Points whose features colour all others for the moment, while the numbers are still those before the change."""
     pairs: tuple[str, ...]
     settings: ViewSettings
     """As chosen; None where the default of `controls` holds."""

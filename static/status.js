@@ -72,6 +72,7 @@ export function renderPair() {
     const { points, shown, prepared } = state[side];
     $(`tag-${side}`).textContent = `${side === "source" ? "Source" : "Target"} · ${count(shown)} points`
       + `${shown < points ? ` of ${count(points)}` : ""}${prepared < shown ? `, ${count(prepared)} described` : ""}`;
+    if (state.previewed !== null) $(`tag-${side}`).textContent = `Preview from ${count(state.previewed)} points`;
     $(`tag-${side}`).title = "Points drawn; each has the colour of the nearest point that is described";
   }
 }

@@ -51,6 +51,10 @@ class DiskCache:
         self.folder = default_folder() if folder is None else folder
         self._max_bytes = max_bytes
 
+    def __contains__(self, key: str) -> bool:
+        """Whether there is an entry of that name, sound or not."""
+        return self._path(key).is_file()
+
     def get(self, key: str) -> Arrays | None:
         """The arrays kept under `key`; None where there are none, or they are damaged."""
         path = self._path(key)

@@ -18,6 +18,7 @@ from cgf.types import (
     Cancelled,
     Correspondences,
     Features,
+    Indices,
     IsCancelled,
     Pair,
     PointCloud,
@@ -123,10 +124,18 @@ def describe(
     cloud: PointCloud,
     settings: ResolvedSettings,
     *,
+    indices: Indices | None = None,
     progress: Progress | None = None,
     cancelled: IsCancelled | None = None,
 ) -> Features:
-    """Describe every point of a prepared cloud by `settings.computed_dim` values.
+    """Describe points of a prepared cloud by `settings.computed_dim` values.
+
+    Args:
+        cloud: What `prepare` gives.
+        settings: What and how to describe.
+        indices: Rows of `cloud`; None describes every point.
+        progress: Told the share done.
+        cancelled: Asked now and then whether to give up.
 
     Raises:
         InputError: No point can be described.
@@ -143,11 +152,12 @@ def describe(
             weights=settings.weights,
         ),
     )
-    indices = np.arange(len(cloud), dtype=np.int64)
+    if indices is None:
+        indices = np.arange(len(cloud), dtype=np.int64)
     features = descriptor.describe(cloud, indices, progress=progress, cancelled=cancelled)
     if not len(features):
         raise InputError(
-            f"--radius and --lrf-radius must hold neighbours, but none of the {len(cloud):,} points of "
+            f"--radius and --lrf-radius must hold neighbours, but none of the {len(indices):,} points of "
             f"{cloud.name or 'the cloud'} can be described with {settings.support_radius:.3g} and "
             f"{settings.lrf_radius:.3g}; try {2 * settings.support_radius:.2g} and {2 * settings.lrf_radius:.2g}"
         )
