@@ -1,5 +1,6 @@
 """The stages of one pair, each kept until a setting that it depends on changes."""
 
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -14,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from app.jobs import Job
 from app.preview import borrowing, choose_rows
+from app.runs import Run
 from app.settings import Reference, ViewSettings
 from app.shown import Shown, choose_shown
 from cgf import pipeline
@@ -27,7 +29,7 @@ from cgf.types import Features, Pair, PointCloud, RegistrationResult, Transform
 Value = TypeVar("Value")
 Mask = npt.NDArray[np.bool_]
 
-_KEPT = {"load": 3, "correct": 3, "prepare": 6, "show": 6, "describe": 8, "match": 24, "register": 64}
+_KEPT = {"load": 3, "correct": 3, "prepare": 6, "show": 6, "describe": 16, "match": 32, "matched": 32, "register": 64}
 """How many results of each stage are kept; features are the largest, 33 MB for 65,000 points in 128 dimensions."""
 
 PREVIEWED = ("cgf", "pca")
@@ -42,9 +44,10 @@ USUAL_POINTS_PER_S = 4_000.0
 
 
 class StageCache:
-    """Results of stages by what they depend on; the longest unused one goes first. For one thread at a time."""
+    """Results of stages by what they depend on; the longest unused one goes first. For any number of threads."""
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._results: dict[str, OrderedDict[Hashable, Any]] = {stage: OrderedDict() for stage in _KEPT}
 
     def has(self, stage: str, key: Hashable) -> bool:
@@ -53,16 +56,24 @@ class StageCache:
 
     def get(self, stage: str, key: Hashable, compute: Callable[[], Value]) -> Value:
         """The result kept under `key`, or else a new one; a failed or cancelled computation leaves nothing behind."""
-        results = self._results[stage]
-        if key in results:
-            results.move_to_end(key)
-            kept: Value = results[key]
-            return kept
+        with self._lock:
+            results = self._results[stage]
+            if key in results:
+                results.move_to_end(key)
+                kept: Value = results[key]
+                return kept
+        # Two threads that want the same at the same time both compute it, which is seldom and harms nothing.
         value = compute()
-        results[key] = value
-        if len(results) > _KEPT[stage]:
-            results.popitem(last=False)
+        with self._lock:
+            results[key] = value
+            if len(results) > _KEPT[stage]:
+                results.popitem(last=False)
         return value
+
+    def peek(self, stage: str, key: Hashable) -> Any:
+        """The result kept under `key`, or None."""
+        with self._lock:
+            return self._results[stage].get(key)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +100,10 @@ class Analysis:
     back_matches: MatchTable | None = None
     """From each target feature to the source."""
     registration: RegistrationResult | None = None
+    runs: tuple[Run, ...] = ()
+    """Poses looked for from the page."""
+    chosen_run: Run | None = None
+    """The one that stands for the estimate; None leaves it to the pose brought along or computed."""
 
     @property
     def truth(self) -> Transform | None:
@@ -97,7 +112,14 @@ class Analysis:
 
     @property
     def estimate(self) -> Transform | None:
-        """The pose brought along or computed."""
+        """The pose chosen from the runs, or else brought along or computed."""
+        if self.chosen_run is not None:
+            return self.chosen_run.result.target_from_source
+        return self.automatic_estimate
+
+    @property
+    def automatic_estimate(self) -> Transform | None:
+        """The pose brought along or computed without being asked for."""
         if self.given_estimate is not None:
             return self.given_estimate
         return None if self.registration is None else self.registration.target_from_source
@@ -134,7 +156,7 @@ class Scores:
 
 
 class Analyst:
-    """Runs the stages, from the first that changed: `run` for one thread, `register` for another."""
+    """Runs the stages, from the first that changed; several threads may do so at once."""
 
     def __init__(
         self,
@@ -156,7 +178,7 @@ class Analyst:
         settings: ViewSettings,
         job: Job,
         show: Callable[[Analysis], None],
-        show_preview: Callable[[Analysis], None],
+        show_preview: Callable[[Analysis], None] | None = None,
     ) -> None:
         """Do what `settings` ask for up to the matches, and show it stage by stage.
 
@@ -164,7 +186,7 @@ class Analyst:
             settings: What is asked for.
             job: Told of progress, and asked whether to give up.
             show: Given what is known after each stage.
-            show_preview: Given what a few points are like while all of them are described.
+            show_preview: Given what a few points are like while all of them are described; None needs no preview.
 
         Raises:
             InputError: A file or setting cannot be used.
@@ -177,7 +199,8 @@ class Analyst:
         job.progress(0.03, "Preparing the clouds")
         analysis = self._prepared(settings.pair, pair, resolved)
         show(analysis)
-        self._preview(analysis, settings, job, show_preview)
+        if show_preview is not None:
+            self._preview(analysis, settings, job, show_preview)
         analysis = self._described(analysis, job)
         show(analysis)
         job.progress(0.85, "Matching features")
@@ -288,18 +311,31 @@ class Analyst:
                 forward, back = pool.submit(match, source, target), pool.submit(match, target, source)
                 return forward.result(), back.result()
 
-        matches, back = self._cache.get("match", pipeline.match_key(source, target), match_both)
+        both = self._cache.get("match", pipeline.match_key(source, target), match_both)
+        # Found again by the settings alone, for those who do not want to describe first.
+        matches, back = self._cache.get("matched", (analysis.index, resolved.match_key), lambda: both)
         return replace(analysis, matches=matches, back_matches=back)
 
-    def register(self, analysis: Analysis) -> RegistrationResult:
-        """Estimate the pose from the matches of an analysis; takes a second or more and cannot be stopped."""
+    def known_matches(self, index: int, resolved: ResolvedSettings) -> tuple[MatchTable, MatchTable] | None:
+        """Matches from source to target and back under `resolved`, if they were computed lately."""
+        found: tuple[MatchTable, MatchTable] | None = self._cache.peek("matched", (index, resolved.match_key))
+        return found
+
+    def register(self, analysis: Analysis, job: Job) -> RegistrationResult:
+        """Estimate the pose from the matches of an analysis.
+
+        Raises:
+            Cancelled: The job is no longer wanted.
+        """
         resolved, matches = analysis.resolved, analysis.matches
         assert matches is not None
         correspondences = matches.correspondences.take(pipeline.filtered_rows(matches, resolved))
         registration = self._registrations.get(
             "register",
             (analysis.index, resolved.match_key, resolved.mutual, resolved.max_ratio),
-            lambda: pipeline.register_pair(analysis.source, analysis.target, correspondences, resolved),
+            lambda: pipeline.register_pair(
+                analysis.source, analysis.target, correspondences, resolved, cancelled=job.is_cancelled
+            ),
         )
         self._last_registrations[analysis.index] = registration
         return registration

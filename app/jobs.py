@@ -35,6 +35,14 @@ class Job:
         self.check()
         self._on_progress(min(max(share, 0.0), 1.0), text)
 
+    def part(self, start: float, end: float, text: str | None = None) -> "Job":
+        """This job for a piece of its work, from share `start` to `end`, which says `text` or what it says itself."""
+        piece = Job(
+            lambda share, said: self._on_progress(start + (end - start) * share, said if text is None else text)
+        )
+        piece._cancelled = self._cancelled
+        return piece
+
 
 Work = Callable[[Job], None]
 

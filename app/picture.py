@@ -22,7 +22,8 @@ from app.colors import (
     feature_colors,
     shaded_colors,
 )
-from app.settings import Pose, ViewSettings
+from app.poses import residuals, shown_pose
+from app.settings import ViewSettings
 from app.shown import Shown
 from cgf.evaluation.matches import MatchErrors
 from cgf.geometry import transforms
@@ -93,11 +94,24 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
+class ColumnPicture:
+    """One of several pictures beside each other."""
+
+    source: CloudPicture
+    target: CloudPicture | None
+    """None shows the source alone."""
+    label: str
+    label_position: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class Picture:
     """Everything the viewer draws."""
 
     source: CloudPicture
     target: CloudPicture
+    overlaid_position: Floats
+    """Of the source, where it is not moved aside."""
     point_size: float
     line_points: Single
     """(L, 2, 3), from source to target."""
@@ -106,6 +120,8 @@ class Picture:
     view: View
     scene: tuple[object, ...]
     """Changes when the camera should be set anew."""
+    columns: tuple[ColumnPicture, ...] = ()
+    """Drawn in place of the clouds and lines above, where there are any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,33 +224,20 @@ def rightward(up: Floats, direction: Floats) -> Floats:
     return right / np.linalg.norm(right)
 
 
-def effective_pose(analysis: Analysis, wanted: Pose | None) -> tuple[Pose, Transform]:
-    """The pose to draw: the wanted one where it is known, else the best."""
-    known: dict[Pose, Transform | None] = {
-        "ground_truth": analysis.truth,
-        "estimate": analysis.estimate,
-        "loaded": np.eye(4),
-    }
-    order = [wanted, *known] if wanted is not None else [*known]
-    for name in order:
-        matrix = known[name]
-        if matrix is not None:
-            return name, matrix
-    raise AssertionError("the pose as loaded is always known")
-
-
 def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, placed: Placed) -> Picture:
     """Draw an analysis as far as it has come."""
-    pose_name, pose = effective_pose(analysis, settings.pose)
+    shown = shown_pose(analysis, settings)
+    pose = shown.matrix
     source_colors, target_colors = point_colors(analysis, scores, settings)
-    rotation = pose[:3, :3]
-    position = (transforms.apply(pose, placed.source_centre[None])[0] - placed.target_centre) * placed.scale
+    moved, rotation, position = _placed_at(placed, pose)
+    overlaid_position = position
     right = rightward(placed.up, placed.direction)
-    moved = placed.source_prepared @ rotation.T + position
     if settings.layout == "side_by_side":
         shift = (placed.target_prepared @ right).min() - GAP * EXTENT - (moved @ right).max()
         position = position + shift * right
         moved = moved + shift * right
+    # On the way between two poses, the view holds both of them from the start.
+    others = [_placed_at(placed, end)[0] for end in shown.ends if end is not pose] if len(shown.ends) > 1 else []
     ends, colors = lines(analysis, scores, settings)
     starts = placed.source_prepared[ends[:, 0]] @ rotation.T + position
     line_points = np.stack([starts, placed.target_prepared[ends[:, 1]]], axis=1)
@@ -242,15 +245,24 @@ def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, plac
     return Picture(
         source=CloudPicture(placed.source_points, source_rows, source_colors, rotation, position),
         target=CloudPicture(placed.target_points, target_rows, target_colors, np.eye(3), np.zeros(3)),
+        overlaid_position=overlaid_position,
         point_size=POINT_RADIUS * placed.spacing * settings.point_size,
         line_points=line_points.astype(np.float32),
         line_colors=colors,
-        view=_view(placed, np.concatenate([moved, placed.target_prepared])),
-        scene=(analysis.index, settings.layout, pose_name, placed.frame),
+        view=view_of(placed, np.concatenate([moved, *others, placed.target_prepared])),
+        scene=(analysis.index, settings.layout, *shown.key, placed.frame),
     )
 
 
-def _view(placed: Placed, points: Floats) -> View:
+def _placed_at(placed: Placed, pose: Transform) -> tuple[Floats, Floats, Floats]:
+    """The prepared source points in the picture under a pose, and rotation and position of their node."""
+    rotation = pose[:3, :3]
+    position = (transforms.apply(pose, placed.source_centre[None])[0] - placed.target_centre) * placed.scale
+    return placed.source_prepared @ rotation.T + position, rotation, position
+
+
+def view_of(placed: Placed, points: Floats) -> View:
+    """The view that holds `points`, but for a few strays."""
     low, high = np.percentile(points, (100 - _FRAMED, _FRAMED), axis=0)
     inside = points[((points >= low) & (points <= high)).all(axis=1)]
     if len(inside) < 10:
@@ -273,6 +285,11 @@ def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettin
 def _prepared_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors] | None:
     """Colours of the prepared points by error or features; None where the points' own are to be shown."""
     source_features, target_features = analysis.source_features, analysis.target_features
+    if settings.coloring == "residual":
+        scale = residual_scale(analysis, settings)
+        both = residuals(analysis, shown_pose(analysis, settings).matrix, limit=scale)
+        source, target = (error_colors(distances, scale=scale, palette=settings.palette) for distances in both)
+        return source, target
     if settings.coloring == "original" or source_features is None or target_features is None:
         return None
     if settings.coloring == "error" and scores is not None and scores.reference is not None:
@@ -297,6 +314,22 @@ def error_scale(analysis: Analysis, settings: ViewSettings) -> float:
     return analysis.resolved.error_scale if settings.error_scale is None else settings.error_scale
 
 
+def residual_scale(analysis: Analysis, settings: ViewSettings) -> float:
+    """Distance between the surfaces from which on the colour is the last of the palette, in cloud units."""
+    return analysis.resolved.inlier_distance if settings.error_scale is None else settings.error_scale
+
+
+def in_bar(
+    rows: npt.NDArray[np.int64], table: MatchTable, measured: MatchErrors, settings: ViewSettings
+) -> npt.NDArray[np.int64]:
+    """Those of `rows` that fall in the bar of a histogram that was chosen, if one was."""
+    bar = settings.bar
+    if bar is None:
+        return rows
+    values = (measured.errors if bar.kind == "error" else table.correspondences.distances)[rows]
+    return rows[(values >= bar.low) & (values <= bar.high) & measured.has_partner[rows]]
+
+
 def _own_colors(shown: Shown, prepared: PointCloud, tint: tuple[int, int, int]) -> Colors:
     if shown.cloud.colors is not None and are_colors_usable(shown.cloud.colors):
         return shown.cloud.colors
@@ -316,7 +349,7 @@ def _errors_of_points(
     scale: float,
 ) -> Colors:  # fmt: skip
     errors = np.full(count, np.nan)
-    rows = kept_rows(table, settings)
+    rows = in_bar(kept_rows(table, settings), table, measured, settings)
     errors[table.correspondences.indices[rows, 0]] = measured.errors[rows]
     return error_colors(errors, scale=scale, palette=settings.palette, has_partner=partner)
 
@@ -325,7 +358,7 @@ def lines(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> 
     """The matches to draw: their two rows, and their colours."""
     if analysis.matches is None or scores is None:
         return np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8)
-    rows = kept_rows(analysis.matches, settings)
+    rows = in_bar(kept_rows(analysis.matches, settings), analysis.matches, scores.forward, settings)
     chosen = choose_lines(
         rows,
         # Without a pose nothing is known but how alike the features are.

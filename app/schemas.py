@@ -1,12 +1,16 @@
 """What the page may send, checked before anything else sees it."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.settings import (
+    MAX_COLUMNS,
     MAX_LINES,
+    Bar,
+    BarKind,
     Coloring,
+    Column,
     Flip,
     Layout,
     LineChoice,
@@ -16,9 +20,30 @@ from app.settings import (
     Pose,
     Reference,
 )
-from cgf.pipeline import Unit
+from cgf.pipeline import RegistrationSettings, Unit
+from cgf.registration import IcpMetric
 
 Length = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+
+
+class HistogramBar(BaseModel):
+    """A bar of a histogram of the matches."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    kind: BarKind
+    low: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+    high: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+
+
+class ComparedColumn(BaseModel):
+    """What one of the compared pictures is made with."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    descriptor: Annotated[str, Field(max_length=40)]
+    dim: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    support_radius: Length | None = None
 
 
 class SettingsPatch(BaseModel):
@@ -49,10 +74,48 @@ class SettingsPatch(BaseModel):
     pose: Pose | None = None
     reference: Reference | None = None
     coloring: Coloring = "error"
+    pose_from: Annotated[str, Field(max_length=20)] | None = None
+    pose_to: Annotated[str, Field(max_length=20)] | None = None
+    pose_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 1.0
+    right_within: Length | None = None
+    bar: HistogramBar | None = None
+    columns: Annotated[list[ComparedColumn], Field(max_length=MAX_COLUMNS)] = []
+    compare_pair: bool = False
 
     def changes(self) -> dict[str, Any]:
         """The settings that were sent."""
-        return self.model_dump(exclude_unset=True)
+        changes = self.model_dump(exclude_unset=True)
+        if self.bar is not None:
+            changes["bar"] = Bar(**self.bar.model_dump())
+        if "columns" in changes:
+            changes["columns"] = tuple(Column(**column.model_dump()) for column in self.columns)
+        return changes
+
+
+class RunRequest(BaseModel):
+    """How to look for the pose; what is left out takes what suits the pair or the method."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    method: Literal["ransac", "fgr", "icp"] = "ransac"
+    inlier_distance: Length | None = None
+    iterations: Annotated[int, Field(ge=1, le=10_000_000)] | None = None
+    refine: bool = True
+    metric: IcpMetric = "plane"
+    start: Annotated[str, Field(max_length=20)] | None = None
+    """Name of the pose that ICP starts from; null is the one shown."""
+
+    def settings(self) -> RegistrationSettings:
+        """What the library calls it."""
+        return RegistrationSettings(**self.model_dump(exclude={"start"}))
+
+
+class EstimateChoice(BaseModel):
+    """Which pose stands for the estimate."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    name: Annotated[str, Field(max_length=20)]
 
 
 class Problem(BaseModel):

@@ -12,10 +12,12 @@ from typing import Any
 
 from app import snapshot as snapshots
 from app.analysis import Analysis, Analyst, Scores, kept_rows, score
+from app.columns import draw_columns
 from app.jobs import Job, Worker
 from app.picture import Picture, Placed, draw, place
 from app.settings import ViewSettings
 from app.snapshot import CloudInfo, Message, Snapshot, Status
+from app.workbench import Workbench
 from cgf import pipeline
 from cgf.checks import InputError
 from cgf.evaluation.matches import export_matches
@@ -74,9 +76,10 @@ class Session:
         self._score = lru_cache(maxsize=2)(score)
         self._picture: Picture | None = None
         self._snapshot: Snapshot | None = None
-        # Estimating a pose cannot be stopped half-way, so it has a thread of its own and holds up nothing.
+        # Estimating a pose holds up nothing: the next change is computed meanwhile.
         self._worker = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
         self._estimator = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
+        self.workbench = Workbench(self, self._analyst)
 
     def start(self) -> None:
         """Begin with the first pair."""
@@ -86,6 +89,7 @@ class Session:
         """Stop working; does not wait."""
         self._worker.close()
         self._estimator.close()
+        self.workbench.tasks.close()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Call `listener` after every change, until the function returned is called."""
@@ -101,6 +105,10 @@ class Session:
 
     def wait_until_idle(self, timeout_s: float | None = None) -> bool:
         """Wait until nothing is left to do; tells whether that came true."""
+        return self.wait_for_main_work(timeout_s) and self.workbench.tasks.wait_until_idle(timeout_s)
+
+    def wait_for_main_work(self, timeout_s: float | None = None) -> bool:
+        """The same, but for what panels asked for beside it."""
         return self._worker.wait_until_idle(timeout_s) and self._estimator.wait_until_idle(timeout_s)
 
     @property
@@ -151,6 +159,8 @@ class Session:
                 self._submit()
             else:
                 self._redraw()
+        if "columns" in changes or needs_work:
+            self.workbench.compare()
         self._notify()
         return self.snapshot()
 
@@ -171,7 +181,30 @@ class Session:
             if self._snapshot is None or self._snapshot.revision != self._revision:
                 self._snapshot = self._build_snapshot()
             settled = self._status.phase == "ready" and self._work_done == self._settings.work_key
-            return replace(self._snapshot, status=self._status, settled=settled)
+            status = replace(self._status, tasks=self.workbench.tasks.running())
+            return replace(self._snapshot, status=status, settled=settled)
+
+    def shown(self) -> tuple[Analysis | None, Scores | None, ViewSettings, int]:
+        """The analysis with its scores, the settings, and the number of the state."""
+        with self._lock:
+            return self._analysis, self._scores(), self._settings, self._revision
+
+    def renewed(self) -> None:
+        """Draw and tell everything anew, after a task has found something."""
+        with self._lock:
+            self._redraw()
+        self._notify()
+
+    def told(self) -> None:
+        """Tell of a task's progress."""
+        self._notify()
+
+    def failed(self, error: Exception) -> None:
+        """Tell why a task has failed; what is shown stays right."""
+        with self._lock:
+            self._error = _text_of(error)
+            self._touch()
+        self._notify()
 
     def export(self, suffix: str) -> bytes:
         """The matches that pass the filters, as `cgf match` writes them.
@@ -213,7 +246,7 @@ class Session:
                     self._finish(settings, elapsed_s)
 
         def estimate(job: Job, analysis: Analysis, elapsed_s: float) -> None:
-            registration = self._analyst.register(analysis)
+            registration = self._analyst.register(analysis, job)
             with self._lock:
                 job.check()
                 self._analysis = replace(analysis, registration=registration)
@@ -259,12 +292,17 @@ class Session:
 
     def _redraw(self) -> None:
         """Draw what is known under the current settings; called with the lock held."""
-        analysis = self._analysis if self._preview is None else self._preview
+        if self._analysis is not None:
+            self._analysis = self.workbench.attach(self._analysis)
+        analysis = self._analysis if self._preview is None else self.workbench.attach(self._preview)
         if analysis is not None:
             placed = self._placed
             if placed is None or placed[0].source is not analysis.source or placed[0].target is not analysis.target:
                 self._placed = placed = (analysis, place(analysis, None if placed is None else placed[1]))
             self._picture = draw(analysis, self._score(analysis, self._settings.reference), self._settings, placed[1])
+            if self._settings.columns:
+                columns = self.workbench.columns(analysis, self._settings)
+                self._picture = draw_columns(self._picture, columns, self._settings, placed[1])
         self._touch()
 
     def _scores(self) -> Scores | None:
@@ -291,10 +329,9 @@ class Session:
             self._notify()
 
     def _on_error(self, error: Exception) -> None:
-        text = _in_words_of_the_page(str(error)) if isinstance(error, ValueError) else _unexpected(error)
         with self._lock:
             self._status = Status("failed", "Failed", 0.0)
-            self._error = text
+            self._error = _text_of(error)
             self._drop_preview()
         self._notify()
 
@@ -306,7 +343,8 @@ class Session:
             return Snapshot(
                 revision=self._revision, status=self._status, settled=False, previewed=None, pairs=names,
                 settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
-                reference=None, numbers=None, estimate=None, curve=None, funnel=(), legend=None, messages=tuple(messages), command="",
+                reference=None, numbers=None, estimate=None, curve=None, funnel=(), legend=None,
+                messages=tuple(messages), columns=(), command="",
             )  # fmt: skip
         scores = self._scores()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
@@ -345,6 +383,7 @@ class Session:
             funnel=snapshots.funnel_of(analysis, settings, numbers),
             legend=snapshots.legend_of(analysis, scores, settings),
             messages=tuple(messages),
+            columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
             command=_command(self._pairs[analysis.index], settings),
         )
 
@@ -396,5 +435,7 @@ def _in_words_of_the_page(text: str) -> str:
     return text
 
 
-def _unexpected(error: Exception) -> str:
+def _text_of(error: Exception) -> str:
+    if isinstance(error, ValueError):
+        return _in_words_of_the_page(str(error))
     return f"{type(error).__name__}: {error}; start cgf-viewer with --debug to see where."

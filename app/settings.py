@@ -1,6 +1,7 @@
 """What a person can choose in the page, and how it is kept within what makes sense."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,14 +13,40 @@ LineChoice = Literal["stratified", "random", "best", "worst"]
 Layout = Literal["side_by_side", "overlaid"]
 Pose = Literal["loaded", "ground_truth", "estimate"]
 Reference = Literal["ground_truth", "estimate"]
-Coloring = Literal["error", "features", "original"]
+Coloring = Literal["error", "features", "original", "residual"]
 Palette = Literal["paper", "viridis", "blue_orange"]
 Normals = Literal["stored", "estimated"]
 Flip = Literal["none", "source", "target", "both"]
 ModelRequest = Literal["auto", "object", "indoor"]
 
+BarKind = Literal["error", "distance"]
+
 MAX_LINES = 5_000
+MAX_COLUMNS = 3
 POINT_SIZES = (0.25, 4.0)
+
+
+_POSE = re.compile(r"loaded|ground_truth|estimate|automatic|run-[1-9][0-9]{0,5}")
+"""Names of poses: the three that `ViewSettings.pose` offers, the estimate that nobody chose, and runs by number."""
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One bar of a histogram of the matches."""
+
+    kind: BarKind
+    """What the bars count matches by: their error, or the distance of their features."""
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Column:
+    """What one of several compared pictures is made with; all else is as in the page."""
+
+    descriptor: str
+    dim: int | None = None
+    support_radius: float | None = None
 
 
 @dataclass(frozen=True)
@@ -67,9 +94,23 @@ class ViewSettings:
     layout: Layout = "side_by_side"
     pose: Pose | None = None
     """Where the source is drawn; None is the best pose known."""
+    pose_from: str | None = None
+    """Name of a pose from which the source is on its way to the one above, or to `pose_to`."""
+    pose_to: str | None = None
+    """Name of a pose that is drawn in place of `pose`."""
+    pose_share: float = 1.0
+    """How much of that way is gone."""
     reference: Reference | None = None
     """What errors are measured against; None is the ground truth where there is one."""
     coloring: Coloring = "error"
+    right_within: float | None = None
+    """Error up to which a match counts as right, in cloud units."""
+    bar: Bar | None = None
+    """Lines and colours are those of the matches in this bar only."""
+    columns: tuple[Column, ...] = ()
+    """What is compared; empty shows the pair itself."""
+    compare_pair: bool = False
+    """Whether every column shows the target as well, overlaid."""
 
     @classmethod
     def of_pair(cls, wanted: PairSettings) -> "ViewSettings":
@@ -117,23 +158,37 @@ class ViewSettings:
         if new.pair != self.pair:
             # Lengths belong to one pair's units and extent.
             lengths: dict[str, Any] = {name: changes.get(name) for name in _LENGTHS}
+            lengths |= {name: changes.get(name) for name in ("bar", "pose_from", "pose_to")}
             new = replace(
                 new,
                 **lengths,
                 source_scale=changes.get("source_scale", 1.0),
                 flip_normals=changes.get("flip_normals", "none"),
             )
-        if new.error_scale is not None and not (math.isfinite(new.error_scale) and new.error_scale > 0):
-            raise ValueError(f"error_scale must be positive, got {new.error_scale:g}")
+        if "pose" in changes or "pose_to" in changes:
+            # A pose that is chosen is shown, not a place on some way to it.
+            way: dict[str, Any] = {"pose_from": changes.get("pose_from"), "pose_to": changes.get("pose_to")}
+            new = replace(new, **way, pose_share=changes.get("pose_share", 1.0))
+        for name in ("error_scale", "right_within"):
+            value = getattr(new, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be positive, got {value:g}")
+        for name in ("pose_from", "pose_to"):
+            pose = getattr(new, name)
+            if pose is not None and not _POSE.fullmatch(pose):
+                raise ValueError(f"{name} must be the name of a pose, such as loaded or run-1, got {pose}")
+        if len(new.columns) > MAX_COLUMNS:
+            raise ValueError(f"columns must be {MAX_COLUMNS} at most, got {len(new.columns)}")
         return replace(
             new,
+            pose_share=min(max(new.pose_share, 0.0), 1.0),
             line_count=min(max(new.line_count, 0), MAX_LINES),
             point_size=min(max(new.point_size, POINT_SIZES[0]), POINT_SIZES[1]),
         )
 
 
 _OF_PAIR = tuple({field.name for field in fields(PairSettings)} & {field.name for field in fields(ViewSettings)})
-_LENGTHS = ("support_radius", "min_radius", "lrf_radius", "voxel_size", "error_scale")
+_LENGTHS = ("support_radius", "min_radius", "lrf_radius", "voxel_size", "error_scale", "right_within")
 _CHOICES: dict[str, tuple[object, ...]] = {
     "model": get_args(ModelRequest),
     "unit": tuple(METRES),

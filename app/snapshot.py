@@ -17,8 +17,12 @@ from app.colors import (
     error_colors,
     shaded_colors,
 )
-from app.picture import effective_pose, error_scale
+from app.compare import ColumnInfo
+from app.picture import error_scale, residual_scale
+from app.plots import right_within
+from app.poses import shown_pose
 from app.settings import MAX_LINES, POINT_SIZES, Coloring, Pose, Reference, ViewSettings
+from app.tasks import Task
 from cgf import descriptors, pipeline
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.evaluation import metrics
@@ -38,6 +42,8 @@ class Status:
     """Share done, from 0 to 1."""
     elapsed_s: float | None = None
     """How long the last change took, once it is done."""
+    tasks: tuple[Task, ...] = ()
+    """What panels have done beside the main work."""
 
 
 @dataclass(frozen=True)
@@ -200,8 +206,8 @@ class Snapshot:
     unit: Unit | None
     model: Model | None
     controls: Controls | None
-    pose: Pose | None
-    """Where the source is drawn."""
+    pose: str | None
+    """Where the source is drawn: one of `controls.poses`, a run, or None between two poses."""
     reference: Reference | None
     """What errors are measured against."""
     numbers: Numbers | None
@@ -210,6 +216,8 @@ class Snapshot:
     funnel: tuple[Step, ...]
     legend: Legend | None
     messages: tuple[Message, ...]
+    columns: tuple[ColumnInfo, ...]
+    """What is compared, one beside the other; empty where it is the pair itself that is shown."""
     command: str
     """The command line that gives the same matches; empty where the pair has no files."""
 
@@ -260,7 +268,7 @@ def numbers_of(analysis: Analysis, scores: Scores, settings: ViewSettings) -> tu
         return None, None
     rows = kept_rows(analysis.matches, settings)
     errors, partner = scores.forward.errors[rows], scores.forward.has_partner[rows]
-    near = analysis.resolved.precision_radius
+    near = right_within(analysis, settings)
     judged = errors[partner]
     precision = metrics.precision(judged, threshold=near)
     numbers = Numbers(
@@ -284,6 +292,8 @@ def estimate_of(analysis: Analysis) -> Estimate | None:
     """What is known of the estimate, and how far it is from the truth."""
     registration, pose, truth = analysis.registration, analysis.estimate, analysis.truth
     given = analysis.given_estimate is not None
+    if analysis.chosen_run is not None:
+        given, registration = False, analysis.chosen_run.result
     if registration is None and not given:
         return None
     compared = pose is not None and truth is not None
@@ -318,11 +328,19 @@ def funnel_of(analysis: Analysis, settings: ViewSettings, numbers: Numbers | Non
 def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> Legend:
     """Explain the colours, which are made by the functions that coloured the points."""
     coloring = shown_coloring(analysis, scores, settings)
+    if coloring == "residual":
+        scale = residual_scale(analysis, settings)
+        ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale, palette=settings.palette)
+        title = "Distance to the nearest point of the other cloud, as drawn"
+        return Legend(coloring, title, tuple(_hex(color) for color in ramp.tolist()), scale, ())
     judged = scores is not None and scores.reference is not None
     swatches: list[Swatch] = []
     if coloring == "error":
         points = "Error of each point's match"
-        swatches += [Swatch(_hex(NO_PARTNER), "no true partner"), Swatch(_hex(NO_MATCH), "no match")]
+        swatches += [
+            Swatch(_hex(NO_PARTNER), "no true partner"),
+            Swatch(_hex(NO_MATCH), "no match" if settings.bar is None else "other match"),
+        ]
     elif coloring == "features":
         points = "Points: like features, like colours"
         if len(analysis.source_features or ()) < len(analysis.source):
@@ -347,6 +365,8 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings)
 
 def shown_coloring(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> Coloring:
     """The colouring chosen, or the one that is shown until its stage is done."""
+    if settings.coloring == "residual":
+        return "residual"
     if settings.coloring == "original" or analysis.source_features is None:
         return "original"
     if settings.coloring == "error" and scores is not None and scores.reference is not None:
@@ -379,9 +399,9 @@ def messages_of(
     return found
 
 
-def pose_of(analysis: Analysis, settings: ViewSettings) -> Pose:
-    """The pose that is drawn."""
-    return effective_pose(analysis, settings.pose)[0]
+def pose_of(analysis: Analysis, settings: ViewSettings) -> str | None:
+    """Name of the pose that is drawn; None between two."""
+    return shown_pose(analysis, settings).name
 
 
 def _facing(tint: tuple[int, int, int]) -> list[int]:

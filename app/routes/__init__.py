@@ -8,7 +8,7 @@ from pathlib import Path
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
-from app.routes import pages, results, scene, state
+from app.routes import pages, results, scene, state, workbench
 from app.routes.problems import add_problems
 from app.session import Session
 
@@ -34,5 +34,6 @@ def create_app(session: Session, shown: scene.Scene) -> FastAPI:
     app.include_router(scene.router(shown))
     app.include_router(state.router(session))
     app.include_router(results.router(session))
+    app.include_router(workbench.router(session))
     add_problems(app)
     return app

@@ -24,6 +24,7 @@ class SceneView:
         self._drawn: Picture | None = None
         self._clouds: dict[str, viser.PointCloudHandle] = {}
         self._lines: viser.LineSegmentsHandle | None = None
+        self._labels: list[viser.LabelHandle] = []
         self._lock = threading.Lock()
         server.initial_camera.fov = float(FIELD_OF_VIEW)
         server.on_client_connect(self._frame)
@@ -38,7 +39,9 @@ class SceneView:
                 for name in ("source", "target"):
                     cloud_before = None if before is None else getattr(before, name)
                     self._draw_cloud(name, getattr(picture, name), cloud_before, point_size=picture.point_size)
+                    self._clouds[name].visible = not picture.columns
                 self._draw_lines(picture, before)
+                self._draw_columns(picture, before)
                 moved = before is None or before.scene != picture.scene
                 if moved:
                     self._set_first_view(picture.view)
@@ -74,7 +77,7 @@ class SceneView:
             )
             return
         handle = self._clouds[name]
-        if not np.array_equal(before.colors, cloud.colors):
+        if before.colors is not cloud.colors and not np.array_equal(before.colors, cloud.colors):
             handle.colors = cloud.colors
         if not np.array_equal(before.rotation, cloud.rotation):
             handle.wxyz = wxyz
@@ -86,19 +89,43 @@ class SceneView:
     def _draw_lines(self, picture: Picture, before: Picture | None) -> None:
         if (
             before is not None
+            and bool(before.columns) == bool(picture.columns)
             and np.array_equal(before.line_points, picture.line_points)
             and np.array_equal(before.line_colors, picture.line_colors)
         ):
             return
-        if not len(picture.line_points):
+        if not len(picture.line_points) or picture.columns:
             if self._lines is not None:
                 self._lines.remove()
                 self._lines = None
             return
         colors = np.repeat(line_colors(picture.line_colors)[:, None], 2, axis=1)
+        if self._lines is not None and before is not None and len(before.line_points) == len(picture.line_points):
+            self._lines.points, self._lines.colors = picture.line_points, colors
+            return
         self._lines = self._server.scene.add_line_segments(
             "/matches", picture.line_points, colors, thickness=LINE_PIXELS, thickness_units="screen"
         )
+
+    def _draw_columns(self, picture: Picture, before: Picture | None) -> None:
+        """The compared clouds, with a label above each."""
+        were = _column_clouds(before)
+        now = _column_clouds(picture)
+        for name in were.keys() - now.keys():
+            self._clouds.pop(name).remove()
+        for name, cloud in now.items():
+            self._draw_cloud(name, cloud, were.get(name), point_size=picture.point_size)
+        texts = [(column.label, *column.label_position.tolist()) for column in picture.columns]
+        if texts == [(label.text, *label.position) for label in self._labels]:
+            return
+        for label in self._labels:
+            label.remove()
+        self._labels = [
+            self._server.scene.add_label(
+                f"/column-{number}/label", column.label, position=column.label_position, anchor="bottom-center"
+            )
+            for number, column in enumerate(picture.columns)
+        ]
 
     def _set_first_view(self, view: View) -> None:
         """Where tabs start that are opened from now on."""
@@ -122,3 +149,13 @@ class SceneView:
             camera.position = position
             camera.look_at = look_at
         client.flush()
+
+
+def _column_clouds(picture: Picture | None) -> dict[str, CloudPicture]:
+    """The clouds of all columns by the name of their node."""
+    clouds = {}
+    for number, column in enumerate(() if picture is None else picture.columns):
+        clouds[f"column-{number}/source"] = column.source
+        if column.target is not None:
+            clouds[f"column-{number}/target"] = column.target
+    return clouds

@@ -71,6 +71,25 @@ def rotation_about(axis: ArrayLike, angle: float) -> Float64[np.ndarray, "3 3"]:
     return rotation  # Rodrigues' formula
 
 
+def interpolate(
+    start: Float64[np.ndarray, "4 4"], end: Float64[np.ndarray, "4 4"], share: float, center: Float64[np.ndarray, "3"]
+) -> Float64[np.ndarray, "4 4"]:
+    """The motion on the way from `start` to `end`: a steady turn the short way round, while `center` goes straight.
+
+    Args:
+        start: At share 0.
+        end: At share 1.
+        share: Of the way.
+        center: Point, in the frame that both map from, whose image moves along a line at even speed.
+    """
+    from scipy.spatial.transform import Rotation  # on first use: it costs half a second to import
+
+    turn = Rotation.from_matrix(start[:3, :3].T @ end[:3, :3]).as_rotvec()
+    rotation = start[:3, :3] @ Rotation.from_rotvec(share * turn).as_matrix()
+    place = (1 - share) * apply(start, center[None])[0] + share * apply(end, center[None])[0]
+    return rigid(rotation, place - rotation @ center)
+
+
 def random_rigid(rng: np.random.Generator, *, max_translation: float = 1.0) -> Float64[np.ndarray, "4 4"]:
     """A motion whose rotation is uniform over all rotations and whose translation is uniform in a cube.
 

@@ -251,7 +251,7 @@ def test_recolouring_keeps_the_points_as_they_were_sent(session: Session) -> Non
         ({"voxel_size": 0.9}, r"^(Voxel size|Support radius) must be"),
         ({"dim": 5}, r"^Dimensions must be one of"),
         ({"descriptor": "sift"}, r"^Descriptor must be one of"),
-        ({"coloring": "rainbow"}, r"^coloring must be one of error, features, original, got rainbow$"),
+        ({"coloring": "rainbow"}, r"^coloring must be one of error, features, original, residual, got rainbow$"),
         ({"pair": 3}, r"^pair must be from 0 to 0, got 3$"),
         ({"error_scale": -1.0}, r"^error_scale must be positive, got -1$"),
         ({"colour": "error"}, r"^settings must be known, got colour$"),

@@ -24,6 +24,20 @@ def test_compose_applies_the_right_one_first(c_from_b, b_from_a, cloud):
     np.testing.assert_allclose(chained, one_by_one, atol=1e-12)
 
 
+@given(rigid_motions(), rigid_motions(), st.floats(0, 1))
+def test_interpolation_turns_at_even_speed_while_the_centre_goes_straight(start, end, share):
+    center = np.array([1.0, -2.0, 0.5])
+    between = transforms.interpolate(start, end, share, center)
+    np.testing.assert_allclose(between[:3, :3] @ between[:3, :3].T, np.eye(3), atol=1e-12)
+    first, last = (transforms.apply(motion, center[None])[0] for motion in (start, end))
+    np.testing.assert_allclose(
+        transforms.apply(between, center[None])[0], (1 - share) * first + share * last, atol=1e-12
+    )
+    whole = transforms.rotation_error_deg(start, end)
+    np.testing.assert_allclose(transforms.rotation_error_deg(start, between), share * whole, atol=1e-4)
+    np.testing.assert_allclose(transforms.rotation_error_deg(between, end), (1 - share) * whole, atol=1e-4)
+
+
 @given(rotations())
 def test_drawn_rotations_are_rotations(rotation):
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
