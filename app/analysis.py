@@ -1,5 +1,6 @@
 """The stages of one pair, each kept until a setting that it depends on changes."""
 
+import contextlib
 import threading
 import time
 from collections import OrderedDict
@@ -22,9 +23,10 @@ from cgf import pipeline
 from cgf.evaluation.matches import MatchErrors
 from cgf.evaluation.metrics import correspondence_errors, has_partner
 from cgf.geometry import transforms
+from cgf.geometry.compiling import told_of_compiling
 from cgf.matching import MatchTable, filter_rows
 from cgf.pipeline import PairSettings, ResolvedSettings
-from cgf.types import Features, Pair, PointCloud, RegistrationResult, Transform
+from cgf.types import Cancelled, Features, Pair, PointCloud, RegistrationResult, Transform
 
 Value = TypeVar("Value")
 Mask = npt.NDArray[np.bool_]
@@ -199,12 +201,15 @@ class Analyst:
         job.progress(0.03, "Preparing the clouds")
         analysis = self._prepared(settings.pair, pair, resolved)
         show(analysis)
-        if show_preview is not None:
-            self._preview(analysis, settings, job, show_preview)
-        analysis = self._described(analysis, job)
-        show(analysis)
-        job.progress(0.85, "Matching features")
-        analysis = self._matched(analysis, job)
+        known = self._is_described(analysis)
+        # What is known needs no kernels, so that they are not even loaded.
+        with contextlib.nullcontext() if known else told_of_compiling(lambda: _say_compiling(job)):
+            if not known and show_preview is not None:
+                self._preview(analysis, settings, job, show_preview)
+            analysis = self._described(analysis, job)
+            show(analysis)
+            job.progress(0.85, "Matching features")
+            analysis = self._matched(analysis, job)
         show(analysis)
 
     def _corrected(self, index: int, wanted: PairSettings) -> Pair:
@@ -231,12 +236,14 @@ class Analyst:
         estimate = self._given_estimate if index == 0 else None
         return Analysis(index, pair, resolved, source, target, source_shown, target_shown, given_estimate=estimate)
 
+    def _is_described(self, analysis: Analysis) -> bool:
+        keys = [pipeline.feature_key(cloud, analysis.resolved) for cloud in (analysis.source, analysis.target)]
+        return all(self._cache.has("describe", key) or (self._disk is not None and key in self._disk) for key in keys)
+
     def _preview(self, analysis: Analysis, settings: ViewSettings, job: Job, show: Callable[[Analysis], None]) -> None:
         """Describe, match and show a few points, and then more of them, where describing all takes long."""
         resolved, source, target = analysis.resolved, analysis.source, analysis.target
-        keys = [pipeline.feature_key(cloud, resolved) for cloud in (source, target)]
-        known = [self._cache.has("describe", key) or (self._disk is not None and key in self._disk) for key in keys]
-        if all(known) or resolved.descriptor not in PREVIEWED:
+        if resolved.descriptor not in PREVIEWED:
             return
         judged = replace(analysis, registration=self._last_registrations.get(analysis.index))
         reference = judged.reference(settings.reference)
@@ -339,6 +346,12 @@ class Analyst:
         )
         self._last_registrations[analysis.index] = registration
         return registration
+
+
+def _say_compiling(job: Job) -> None:
+    # The compiler must come to its end even where nobody wants the result any more.
+    with contextlib.suppress(Cancelled):
+        job.progress(0.05, "Compiling (first start only)")
 
 
 @lru_cache(maxsize=4)

@@ -94,7 +94,6 @@ def view(options: argparse.Namespace) -> int:
         session = open_session(options)
         if note:
             cli.note(options, note)
-        warming.join()
         _serve(session, listening, options)
 
 
@@ -220,23 +219,24 @@ def make_server(app: "ASGIApp", *, debug: bool) -> "uvicorn.Server":
 
 def _serve(session: "Session", listening: socket.socket, options: argparse.Namespace) -> NoReturn:
     from app.guard import Guard, new_token
-    from app.routes import create_app
-    from app.viewer.live import LiveScene
 
     token = new_token()
-    scene = LiveScene(session)
-    app = Guard(create_app(session, scene), token=token, hosts=[options.host, socket.gethostname()])
-    server = make_server(app, debug=options.debug)
+    # The port listens already: a browser that comes now waits for its answer while it starts.
     _announce(listening, token, options)
     session.start()
-    try:
-        server.run(sockets=[listening])
-    except KeyboardInterrupt:
-        # How a viewer is meant to be stopped.
-        print()
-    finally:
-        session.close()
-        scene.stop()
+    with contextlib.ExitStack() as running:
+        running.callback(session.close)
+        try:
+            from app.routes import create_app
+            from app.viewer.live import LiveScene
+
+            scene = LiveScene(session)
+            running.callback(scene.stop)
+            app = Guard(create_app(session, scene), token=token, hosts=[options.host, socket.gethostname()])
+            make_server(app, debug=options.debug).run(sockets=[listening])
+        except KeyboardInterrupt:
+            # How a viewer is meant to be stopped.
+            print()
     # Python would wait for threads in the middle of a computation that nobody wants any more.
     sys.stdout.flush()
     sys.stderr.flush()

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+import numba
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from app.session import Session
 from app.settings import ViewSettings
 from app.shown import choose_shown
 from app.snapshot import Snapshot
+from cgf import pipeline
 from cgf.geometry.transforms import apply
 from cgf.types import Features
 from tests.app.scenes import hills, source_of
@@ -139,3 +141,22 @@ def test_another_voxel_size_draws_the_same_points(session: Session) -> None:
     assert after is not None
     assert after.source.points is before.source.points
     assert after.scene == before.scene
+
+
+def test_compiling_is_told_while_the_clouds_are_shown_already(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = numba.njit(lambda value: value + 1)
+    describe = pipeline.describe
+
+    def compile_first(*arguments: object, **named: object) -> object:
+        kernel(1)
+        return describe(*arguments, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pipeline, "describe", compile_first)
+    states = heard(session)
+    session.start()
+    assert session.wait_until_idle(LONG_S)
+    pictures = [picture for state, picture in states if state.status.text == "Compiling (first start only)"]
+    assert pictures
+    assert pictures[0] is not None
