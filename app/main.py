@@ -41,7 +41,8 @@ examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the viewer with `arguments` (by default the process's own), and return the exit status."""
     options = build_parser().parse_args(arguments)
-    return cli.run(lambda: view(options), program="cgf-viewer", debug=options.debug)
+    command = view if options.report is None else report
+    return cli.run(lambda: command(options), program="cgf-viewer", debug=options.debug)
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -69,6 +70,13 @@ def build_parser() -> argparse.ArgumentParser:
         "--no-cache", action="store_true", help="neither read nor write what earlier runs computed (in the user's "
         "folder for caches, 1 GB at most)",
     )  # fmt: skip
+    sharing = parser.add_argument_group("sharing")
+    sharing.add_argument(
+        "--state", metavar="STATE", help="settings of another run, in quotes, as the page's tab Share gives them"
+    )
+    sharing.add_argument(
+        "--report", type=Path, metavar="FILE", help="write what the page shows to one HTML file, and open no page"
+    )
     server = parser.add_argument_group("server")
     server.add_argument(
         "--port",
@@ -97,6 +105,28 @@ def view(options: argparse.Namespace) -> int:
         _serve(session, listening, options)
 
 
+def report(options: argparse.Namespace) -> int:
+    """Write what the page would show to a file."""
+    from app.report import write_report
+    from cgf.cli.common import progress_bar
+    from cgf.evaluation.matches import check_output
+
+    check_output(options.report, (".html",))
+    session = open_session(options)
+    with progress_bar(options) as progress:
+        if progress is not None:
+            session.listen(lambda: progress(session.status.progress, session.status.text))
+        session.start()
+        session.wait_until_idle()
+    session.close()
+    failures = [message.text for message in session.snapshot().messages if message.level == "error"]
+    if failures:
+        raise InputError(failures[0])
+    write_report(session, options.report)
+    cli.note(options, f"Wrote {options.report}")
+    return 0
+
+
 def open_session(options: argparse.Namespace) -> "Session":
     """Read the first pair and check the settings against it, so that bad input is refused before anything opens.
 
@@ -105,14 +135,17 @@ def open_session(options: argparse.Namespace) -> "Session":
     """
     from app.session import Session
     from app.settings import ViewSettings
+    from app.state_text import read_state
     from cgf import pipeline
 
     sources = open_pairs(options)
-    pair = sources[0].load()
-    wanted = cli.feature_settings(options)
+    settings = ViewSettings.of_pair(cli.feature_settings(options))
+    if options.state is not None:
+        settings = settings.changed(read_state(options.state), pairs=len(sources))
+    pair, wanted = sources[settings.pair].load(), settings.pair_settings()
     pipeline.resolve(wanted, *pipeline.correct(wanted, pair.source, pair.target))
     disk = None if options.no_cache else pipeline.DiskCache()
-    return Session(sources, ViewSettings.of_pair(wanted), given_estimate=_read_estimate(options), disk=disk)
+    return Session(sources, settings, given_estimate=_read_estimate(options), disk=disk)
 
 
 def open_pairs(options: argparse.Namespace) -> "list[PairSource]":
@@ -130,7 +163,7 @@ def open_pairs(options: argparse.Namespace) -> "list[PairSource]":
         from cgf.datasets.demo import load_demo
 
         pair = load_demo()
-        return [PairSource("Demo: two fragments of a room", lambda: pair)]
+        return [PairSource("Demo: two fragments of a room", lambda: pair, view=("--demo",))]
     if len(paths) == 1 and (paths[0].is_dir() or not paths[0].suffix):
         return _open_folder(paths[0], options)
     if len(paths) != 2:

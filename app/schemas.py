@@ -1,5 +1,6 @@
 """What the page may send, checked before anything else sees it."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -122,3 +123,20 @@ class Problem(BaseModel):
     """Why a request could not be fulfilled, in a line for the person."""
 
     message: str
+
+
+class SharedState(BaseModel):
+    """Settings as one line of text, as links carry them."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    text: Annotated[str, Field(max_length=4000)]
+
+
+def in_words(errors: Sequence[Any]) -> str:
+    """The first of the errors that pydantic found, in one line."""
+    first = errors[0]
+    names = [part for part in first["loc"] if isinstance(part, str) and part not in ("body", "path", "query")]
+    where = names[0].replace("_", " ").capitalize() if names else "The request"
+    message = str(first["msg"]).replace("Input should", "should").replace("Extra inputs are", "is")
+    return f"{where} {message}." if message[:1].islower() else f"{where}: {message}."

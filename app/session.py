@@ -17,6 +17,7 @@ from app.jobs import Job, Worker
 from app.picture import Picture, Placed, draw, place
 from app.settings import ViewSettings
 from app.snapshot import CloudInfo, Message, Snapshot, Status
+from app.state_text import write_state
 from app.workbench import Workbench
 from cgf import pipeline
 from cgf.checks import InputError
@@ -39,6 +40,8 @@ class PairSource:
     load: Callable[[], Pair]
     command: tuple[str, ...] = ()
     """Arguments that open it with `cgf match`; empty where it has no files."""
+    view: tuple[str, ...] = ()
+    """Arguments that open it with `cgf-viewer`, where they are others."""
 
 
 class Session:
@@ -206,6 +209,25 @@ class Session:
             self._touch()
         self._notify()
 
+    def picture_with(self, **changes: Any) -> Picture:
+        """What would be drawn with other view settings; nothing changes.
+
+        Raises:
+            InputError: There are no clouds yet.
+        """
+        with self._lock:
+            analysis, placed = self._analysis, self._placed
+            if analysis is None:
+                raise InputError("There are no clouds yet; wait until they are loaded.")
+            # A preview may be drawn at the moment, whose points are others.
+            fits = placed is not None and placed[0].source is analysis.source and placed[0].target is analysis.target
+            return draw(
+                analysis,
+                self._scores(),
+                replace(self._settings, **changes),
+                placed[1] if placed is not None and fits else place(analysis),
+            )
+
     def export(self, suffix: str) -> bytes:
         """The matches that pass the filters, as `cgf match` writes them.
 
@@ -345,6 +367,7 @@ class Session:
                 settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
                 reference=None, numbers=None, estimate=None, curve=None, funnel=(), legend=None,
                 messages=tuple(messages), columns=(), command="",
+                shared=write_state(settings), view_command="",
             )  # fmt: skip
         scores = self._scores()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
@@ -385,6 +408,8 @@ class Session:
             messages=tuple(messages),
             columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
             command=_command(self._pairs[analysis.index], settings),
+            shared=write_state(settings),
+            view_command=_view_command(self._pairs[analysis.index], settings),
         )
 
 
@@ -412,6 +437,19 @@ def _command(pair: PairSource, settings: ViewSettings) -> str:
     if settings.mutual:
         options.append("--mutual")
     return shlex.join(["cgf", "match", *pair.command, *map(str, options), "-o", "matches.csv"])
+
+
+def _view_command(pair: PairSource, settings: ViewSettings) -> str:
+    """The `cgf-viewer` that shows the same on another machine."""
+    arguments = list(pair.view or pair.command)
+    if not arguments:
+        return ""
+    weights = settings.pair_settings().weights
+    if weights is not None:
+        arguments += ["--weights", str(weights)]
+    # The arguments open this pair alone.
+    state = write_state(replace(settings, pair=0))
+    return shlex.join(["cgf-viewer", *arguments, *(["--state", state] if state else [])])
 
 
 _PAGE_WORDS = {

@@ -220,6 +220,10 @@ class Snapshot:
     """What is compared, one beside the other; empty where it is the pair itself that is shown."""
     command: str
     """The command line that gives the same matches; empty where the pair has no files."""
+    shared: str
+    """The settings that differ from their defaults, as links and `--state` carry them."""
+    view_command: str
+    """The command line that shows the same; empty where the pair has no files."""
 
 
 def unit_of(analysis: Analysis) -> Unit:

@@ -3,6 +3,7 @@
 
 import { command, listenToKeys } from "./commands.js";
 import { listenToControls, renderControls } from "./controls.js";
+import { listenToLinks } from "./links.js";
 import { listenToDialogs } from "./dialogs.js";
 import { renderLegend } from "./legend.js";
 import { $ } from "./lib/dom.js";
@@ -26,7 +27,14 @@ const page = {
   command,
   /** Show the tab of that name. */
   open: (name) => tabs.open(name),
+  /** Call `run` once everything shown belongs to the settings. */
+  whenSettled: (run) => {
+    if (server.state()?.settled) run();
+    else waiting.push(run);
+  },
 };
+
+const waiting = [];
 
 const tabs = makeTabs([
   { name: "summary", title: "Summary", module: summary },
@@ -49,11 +57,13 @@ function render({ onlyStatus }) {
   renderControls(state);
   renderLegend(state);
   tabs.render();
+  if (state.settled) for (const run of waiting.splice(0)) run();
 }
 
 listenToControls(page);
 listenToDialogs(page);
 listenToKeys($("scene"));
+listenToLinks(page);
 new ResizeObserver(() => server.state()?.legend && renderLegend(server.state())).observe($("legend"));
 server.listen(render);
 server.connect();

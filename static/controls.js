@@ -1,6 +1,6 @@
 // The settings at the left: what they show, and what they send.
 
-import { $, element, options, setUnlessBusy, watchBusy } from "./lib/dom.js";
+import { $, copyText, element, options, setUnlessBusy, watchBusy } from "./lib/dom.js";
 import { count, field, significant } from "./lib/format.js";
 import * as server from "./server.js";
 
@@ -108,7 +108,7 @@ export function listenToControls(page) {
   $("home").addEventListener("click", resetView);
   $("cancel").addEventListener("click", () => api("cancel", { method: "POST" }));
   $("defaults").addEventListener("click", () => change({ ...DEFAULTS }));
-  $("copy").addEventListener("click", () => copyCommand(page.state().command));
+  $("copy").addEventListener("click", () => copyText($("copy"), page.state().command));
 
   page.command("reset-view", { label: "Show the whole scene", keys: "r", run: resetView });
   page.command("layout", {
@@ -120,18 +120,7 @@ export function listenToControls(page) {
     page.command(`color-${coloring}`, { label: `Colour by ${label}`, run: () => change({ coloring }) });
   }
   page.command("defaults", { label: "All settings back to what suits this pair", run: () => change({ ...DEFAULTS }) });
-  page.command("copy-command", { label: "Copy the command that writes these matches", run: () => copyCommand(page.state().command) });
-}
-
-async function copyCommand(command) {
-  try {
-    await navigator.clipboard.writeText(command);
-    $("copy").textContent = "Copied";
-    setTimeout(() => { $("copy").textContent = "Copy command"; }, 1500);
-  } catch {
-    // Browsers allow the clipboard on this machine or over https only.
-    window.prompt("The command:", command);
-  }
+  page.command("copy-command", { label: "Copy the command that writes these matches", run: () => copyText($("copy"), page.state().command) });
 }
 
 function typed(name, input, page) {

@@ -3,23 +3,15 @@
 One module a topic, each with a function `router` that gives its paths.
 """
 
-from pathlib import Path
-
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
 from app.routes import pages, results, scene, state, workbench
 from app.routes.problems import add_problems
 from app.session import Session
+from app.static_files import static_folder
 
 _DESCRIPTION = "State and controls of one run of cgf-viewer. Paths are relative to the URL with the token."
-
-
-def static_folder() -> Path:
-    """Where the page lies: beside the package in a checkout, inside it once installed."""
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "static"
-    return installed if installed.is_dir() else package.parent / "static"
 
 
 def create_app(session: Session, shown: scene.Scene) -> FastAPI:

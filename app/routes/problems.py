@@ -4,7 +4,7 @@ from fastapi import FastAPI, HTTPException, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 
-from app.schemas import Problem
+from app.schemas import Problem, in_words
 
 NO_STORE = {"Cache-Control": "no-store"}
 PROBLEM: dict[int | str, dict[str, object]] = {422: {"model": Problem, "description": "Cannot be done; says why"}}
@@ -20,18 +20,9 @@ def add_problems(app: FastAPI) -> None:
     @app.exception_handler(RequestValidationError)
     async def malformed(_: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
-        return JSONResponse(Problem(message=_readable(error)).model_dump(), status_code=422)
+        return JSONResponse(Problem(message=in_words(error.errors())).model_dump(), status_code=422)
 
     @app.exception_handler(HTTPException)
     async def refused(_: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
         return JSONResponse(Problem(message=str(error.detail)).model_dump(), status_code=error.status_code)
-
-
-def _readable(error: RequestValidationError) -> str:
-    """The first of the errors that pydantic found, in one line."""
-    first = error.errors()[0]
-    names = [part for part in first["loc"] if isinstance(part, str) and part not in ("body", "path", "query")]
-    where = names[0].replace("_", " ").capitalize() if names else "The request"
-    message = str(first["msg"]).replace("Input should", "should").replace("Extra inputs are", "is")
-    return f"{where} {message}." if message[:1].islower() else f"{where}: {message}."

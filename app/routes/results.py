@@ -1,9 +1,11 @@
 """Results as files."""
 
+import json
 from typing import Literal
 
 from fastapi import APIRouter, Response
 
+from app.report import report_page, results_of
 from app.routes.problems import NO_STORE, PROBLEM
 from app.session import Session
 
@@ -15,9 +17,26 @@ def router(session: Session) -> APIRouter:
     @router.get("/api/matches.{suffix}", response_class=Response)
     def matches(suffix: Literal["csv", "npz"]) -> Response:
         """The matches that pass the filters, the same to the last digit as `cgf match` writes them."""
-        content = session.export(f".{suffix}")
-        media_type = "text/csv; charset=utf-8" if suffix == "csv" else "application/octet-stream"
-        disposition = f'attachment; filename="matches.{suffix}"'
-        return Response(content, media_type=media_type, headers={"Content-Disposition": disposition, **NO_STORE})
+        return _file(session.export(f".{suffix}"), f"matches.{suffix}")
+
+    @router.get("/api/results.json", response_class=Response)
+    def results() -> Response:
+        """Settings, figures and poses."""
+        return _file(json.dumps(results_of(session), indent=1, allow_nan=False).encode(), "results.json")
+
+    @router.get("/api/report.html", response_class=Response)
+    def report() -> Response:
+        """One HTML file with the scene, its legend and all figures, which opens without this server."""
+        return _file(report_page(session).encode(), "report.html")
 
     return router
+
+
+def _file(content: bytes, name: str) -> Response:
+    """An answer that the browser saves; it is never shown as a page of ours."""
+    kinds = {"csv": "text/csv; charset=utf-8", "json": "application/json"}
+    return Response(
+        content,
+        media_type=kinds.get(name.rpartition(".")[2], "application/octet-stream"),
+        headers={"Content-Disposition": f'attachment; filename="{name}"', **NO_STORE},
+    )

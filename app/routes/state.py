@@ -9,9 +9,10 @@ from fastapi import APIRouter
 from fastapi.responses import StreamingResponse
 
 from app.routes.problems import NO_STORE, PROBLEM
-from app.schemas import SettingsPatch
+from app.schemas import SettingsPatch, SharedState
 from app.session import Session
 from app.snapshot import Snapshot
+from app.state_text import read_state, restored
 
 KEEP_ALIVE_S = 15.0
 
@@ -29,6 +30,11 @@ def router(session: Session) -> APIRouter:
     def change_settings(patch: SettingsPatch) -> Snapshot:
         """Change some settings. On 422 nothing has changed."""
         return session.change(patch.changes())
+
+    @router.put("/api/state", responses=PROBLEM)
+    def restore(state: SharedState) -> Snapshot:
+        """Take over the settings of a link or of `--state`; those it does not name go back to their defaults."""
+        return session.change(restored(read_state(state.text)))
 
     @router.post("/api/cancel", status_code=204)
     def cancel() -> None:

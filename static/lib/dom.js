@@ -46,3 +46,18 @@ export function pairs(list, rows) {
     element("dt", { textContent: name }), element("dd", { textContent: value, title: value }),
   ]));
 }
+
+/** Copy a text, and say so on the button for a moment. */
+export async function copyText(button, text) {
+  try {
+    await navigator.clipboard.writeText(text);
+  } catch {
+    // Browsers allow the clipboard on this machine or over https only.
+    window.prompt("To be copied:", text);
+    return;
+  }
+  const { textContent } = button;
+  if (textContent === "Copied") return;
+  button.textContent = "Copied";
+  setTimeout(() => { button.textContent = textContent; }, 1500);
+}
