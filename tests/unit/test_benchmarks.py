@@ -1,0 +1,80 @@
+"""`python -m benchmarks` runs, with and without what it compares with."""
+
+import json
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from benchmarks import inputs, report
+from benchmarks.groups import Group, Row
+from benchmarks.straight import find_neighbors, straight_histograms
+from benchmarks.timing import Timing
+from cgf.descriptors.spherical_histogram import histogram_grid
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_command_runs_on_the_demo_without_its_peers(tmp_path: Path) -> None:
+    hidden = tmp_path / "hidden"
+    hidden.mkdir()
+    for name in ("faiss", "hnswlib", "sklearn"):
+        (hidden / f"{name}.py").write_text("raise ModuleNotFoundError('hidden')", "utf-8")
+    environment = {key: value for key, value in os.environ.items() if key != "CGF_SHARED"}
+    environment |= {"PYTHONPATH": str(hidden), "PATH": str(tmp_path)}
+    command = [sys.executable, "-m", "benchmarks", "--quick", "--only", "neighbors", "dense"]
+    command += ["--output", str(tmp_path / "out"), "--cache", str(tmp_path / "cache")]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "absent; apt-get install g++ pkg-config libpcl-dev" in done.stdout
+    assert "absent; uv sync --inexact --group bench" in done.stdout
+    results = json.loads((tmp_path / "out" / "results.json").read_text("utf-8"))
+    search, dense = results["groups"]
+    measured = {row["name"]: row["timing"] is not None for row in search["rows"]}
+    assert measured["32: cgf, both directions and the second nearest"]
+    assert measured["32: SciPy cKDTree"]
+    assert not measured["32: FLANN, one k-d tree"]
+    assert not measured["32: faiss IndexFlatL2"]
+    assert [row["timing"] for row in dense["rows"]] == [None]
+    assert ET.parse(tmp_path / "out" / "plot.svg").getroot().tag.endswith("svg")
+    assert "| 32: faiss IndexFlatL2 |" in (tmp_path / "out" / "table.md").read_text("utf-8")
+
+
+def test_the_straight_loop_is_the_histogram() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, size=(800, 3))
+    centers, frames = points[:20], np.stack([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(20)])
+    neighbors, starts = find_neighbors(points, centers, 0.7)
+    straight = straight_histograms(points, centers, frames, neighbors, starts, 0.7, 0.06)
+    rows, counts = histogram_grid(points, support_radius=0.7, min_radius=0.06).histograms(centers, frames)
+    np.testing.assert_array_equal(np.diff(starts) - 1, counts)
+    # Single precision may put a neighbour on the other side of an edge.
+    assert (np.abs(rows - straight).sum(axis=1) * counts / 2 <= 1.01).all()
+
+
+@pytest.mark.parametrize("count", [50, 3458, 9000])
+def test_a_resampled_scan_has_so_many_points_of_the_same_surface(count: int) -> None:
+    cloud = inputs.load_scan(None).cloud
+    result = inputs.resample(cloud, count)
+    assert len(result) == count
+    tree = cKDTree(cloud.points)
+    assert tree.query(result.points)[0].max() <= tree.query(cloud.points, k=4)[0].max()
+    assert len(np.unique(result.points, axis=0)) == count
+
+
+@pytest.mark.parametrize(("value", "shown"), [(0.0123456, "0.0123"), (12.345, "12.3"), (1234.5, "1,234"), (0.0, "0")])
+def test_figures_are_three(value: float, shown: str) -> None:
+    row = Row("name", "s", Timing((value,), (value,)))
+    assert report.cells(row)[2] == shown
+
+
+@pytest.mark.parametrize(("ratio", "met"), [(2.0, "yes"), (1.9, "no")])
+def test_what_is_reached_is_said(ratio: float, met: str) -> None:
+    row = Row("peer", "s", Timing((1.0,), (1.0,)), ratio, 2.0)
+    assert report.cells(row)[6] == met
+    assert f"| {met} |" in report.markdown([Group("key", "Title", [row])])
