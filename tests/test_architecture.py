@@ -15,6 +15,7 @@ LAYERS = (
     ("cgf.cli",),
     ("cgf",),  # the public names
     ("cgf.training",),
+    ("cgf.diagnosis",),
     ("cgf.evaluation",),
     ("cgf.pipeline",),
     ("cgf.descriptors", "cgf.matching", "cgf.registration", "cgf.datasets"),

@@ -84,7 +84,8 @@ def _describe_all(
     return described, features
 
 
-def _pair_options(parser: argparse.ArgumentParser) -> None:
+def pair_options(parser: argparse.ArgumentParser) -> None:
+    """Options of every command on two clouds."""
     parser.add_argument("source", type=Path, help="the cloud that is moved")
     parser.add_argument("target", type=Path, help="the cloud that stays")
     parser.add_argument(
@@ -97,7 +98,7 @@ def _pair_options(parser: argparse.ArgumentParser) -> None:
 
 def match_options(parser: argparse.ArgumentParser) -> None:
     """Options of `cgf match`."""
-    _pair_options(parser)
+    pair_options(parser)
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE", help="matches.csv or matches.npz")
 
 
@@ -131,7 +132,7 @@ def match(options: argparse.Namespace) -> int:
 
 def register_options(parser: argparse.ArgumentParser) -> None:
     """Options of `cgf register`."""
-    _pair_options(parser)
+    pair_options(parser)
     group = parser.add_argument_group("registration")
     group.add_argument("--method", metavar="NAME", help="ransac, fgr or icp (default: ransac)")
     group.add_argument("--inlier-distance", type=float, metavar="D", help="how near partners must come, in cloud units")

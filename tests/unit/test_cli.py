@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -389,3 +390,24 @@ def test_an_export_that_cannot_be_written_says_so(tmp_path: Path) -> None:
     (tmp_path / "taken.csv").mkdir()
     with pytest.raises(InputError, match=r"taken\.csv cannot be written: .*; choose another place"):
         write_whole(tmp_path / "taken.csv", lambda file: file.close())
+
+
+def test_diagnose_says_what_is_wrong_and_what_to_try(folder: Path, clouds: list[str], tmp_path: Path, capsys) -> None:
+    assert cli.main(["diagnose", *clouds, "--gt", str(folder / "pose.txt"), *OPTIONS, "--all"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("Nothing wrong found: the clouds register")
+    assert "Fine (overlap):" in said
+    source = transforms.move(transforms.invert(MOTION), sheet(seed=1))
+    write_cloud(tmp_path / "millimetres.npz", replace(source, points=1000 * source.points))
+    assert cli.main(["diagnose", str(tmp_path / "millimetres.npz"), clouds[1], "--descriptor", "fpfh"]) == 0
+    said = capsys.readouterr()
+    assert "Problem (input): " in said.out
+    assert "--source-scale 0.001" in said.out
+    assert "--all shows them" in said.err
+
+
+def test_diagnose_prints_json(clouds: list[str], capsys) -> None:
+    assert cli.main(["diagnose", *clouds, *OPTIONS, "--json", "--quiet"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["outcome"] == "registered"
+    assert {finding["kind"] for finding in told["findings"]} >= {"scale", "normals", "overlap"}
