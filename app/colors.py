@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from app.settings import Palette
+from cgf.pipeline import REJECTIONS, Rejection
 
 Colors = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float64]
@@ -33,6 +34,22 @@ UNJUDGED: tuple[int, int, int] = (126, 176, 214)
 """Lines whose error is not known because no pose is."""
 SOURCE_TINT: tuple[int, int, int] = (240, 178, 92)
 TARGET_TINT: tuple[int, int, int] = (96, 178, 236)
+STAGE_COLORS: dict[Rejection, tuple[int, int, int]] = {
+    "no_frame": NO_MATCH,
+    "no_feature": (46, 56, 74),
+    "no_partner": NO_PARTNER,
+    "not_mutual": (150, 96, 190),
+    "above_ratio": (72, 136, 214),
+    "outlier": (214, 92, 44),
+    "none": (229, 222, 120),
+}
+"""Points and matches by the stage that rejects them; told apart by lightness too."""
+PICKED: tuple[int, int, int] = (70, 224, 240)
+"""The point that was picked: no ramp has this hue."""
+PARTNER: tuple[int, int, int] = (240, 240, 240)
+"""Its true partner."""
+AXES: Colors = np.array([(226, 74, 74), (96, 200, 90), (84, 132, 240)], dtype=np.uint8)
+"""Of a frame: x, y, z."""
 _LEVELS = 256
 
 
@@ -78,6 +95,8 @@ def _error_table(palette: Palette) -> Colors:
 
 ERROR_TABLES: dict[Palette, Colors] = {palette: _error_table(palette) for palette in _ANCHORS}
 """(256, 3) each; the first row means no error, the last the error scale or more."""
+DISTANCE_TABLE: Colors = ERROR_TABLES["viridis"]
+"""(256, 3); the first row means the most alike features, the last the most unlike."""
 
 
 def error_colors(
@@ -102,6 +121,22 @@ def error_colors(
         colors[~has_partner] = NO_PARTNER
     colors[missing] = NO_MATCH
     return colors
+
+
+def distance_colors(distances: npt.ArrayLike, *, low: float, high: float) -> Colors:
+    """Colours of points by a feature distance, on a logarithmic scale from `low` to `high`; nan for no feature."""
+    values = np.asarray(distances, dtype=np.float64)
+    missing = np.isnan(values)
+    shares = np.log(np.clip(np.where(missing, high, values), low, high) / low) / np.log(high / low)
+    colors: Colors = DISTANCE_TABLE[np.rint(shares * (_LEVELS - 1)).astype(np.int64)]
+    colors[missing] = NO_MATCH
+    return colors
+
+
+def stage_colors(stages: npt.NDArray[np.int8]) -> Colors:
+    """Colours of points or matches by the stage that rejects them, as `cgf.pipeline.rejections` counts them."""
+    table = np.array([STAGE_COLORS[name] for name in REJECTIONS], dtype=np.uint8)
+    return np.asarray(table[stages])
 
 
 def feature_basis(source: npt.NDArray[np.float32], target: npt.NDArray[np.float32]) -> FeatureBasis:

@@ -6,6 +6,7 @@ import numpy as np
 
 from app.colors import NO_MATCH, Colors
 from app.compare import ComparedColumn
+from app.explorer import NO_FINDINGS
 from app.picture import EXTENT, GAP, CloudPicture, ColumnPicture, Picture, Placed, point_colors, rightward, view_of
 from app.settings import ViewSettings
 
@@ -67,4 +68,4 @@ def _colors(picture: Picture, column: ComparedColumn, settings: ViewSettings) ->
             for cloud in (picture.source, picture.target)
         )
         return source, target
-    return point_colors(column.analysis, column.scores, replace(settings, coloring="error"))
+    return point_colors(column.analysis, column.scores, replace(settings, coloring="error"), NO_FINDINGS)

@@ -4,7 +4,9 @@ The picture is centred and scaled to a fixed size, so that float32 and the viewe
 metres and UTM coordinates alike. Clouds are moved by the pose of their node: a new pose or layout sends no point again.
 """
 
+import weakref
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
@@ -17,17 +19,22 @@ from app.colors import (
     UNJUDGED,
     Colors,
     are_colors_usable,
+    distance_colors,
     error_colors,
     feature_basis,
     feature_colors,
     shaded_colors,
+    stage_colors,
 )
+from app.explorer import NO_FINDINGS, Findings, distance_range
+from app.overlays import SIDES, Overlays, Placement, draw_overlays, isolated
 from app.poses import residuals, shown_pose
-from app.settings import ViewSettings
+from app.settings import Coloring, ViewSettings
 from app.shown import Shown
 from cgf.evaluation.matches import MatchErrors
 from cgf.geometry import transforms
 from cgf.matching import MatchTable
+from cgf.pipeline import Side
 from cgf.types import Features, PointCloud, Transform
 
 EXTENT = 4.0
@@ -35,6 +42,9 @@ EXTENT = 4.0
 FIELD_OF_VIEW = np.radians(40.0)
 POINT_RADIUS = 0.75
 """Of drawn points, in spacings: just enough to close the surface."""
+LINE_PIXELS = 1.6
+THIN_LINE_PIXELS = 0.7
+"""Of matches beside those of a picked point."""
 GAP = 0.06
 """Between clouds side by side, as a share of `EXTENT`."""
 _UP_TOLERANCE = np.cos(np.radians(50.0))
@@ -117,11 +127,15 @@ class Picture:
     """(L, 2, 3), from source to target."""
     line_colors: Colors
     """(L, 3), as they shall look on the screen."""
+    line_pixels: float
+    overlays: Overlays
     view: View
     scene: tuple[object, ...]
     """Changes when the camera should be set anew."""
     columns: tuple[ColumnPicture, ...] = ()
     """Drawn in place of the clouds and lines above, where there are any."""
+    followed: object = None
+    """Changes when the camera should fly to the focus of `overlays`; None where it should stay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,11 +238,13 @@ def rightward(up: Floats, direction: Floats) -> Floats:
     return right / np.linalg.norm(right)
 
 
-def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, placed: Placed) -> Picture:
+def draw(
+    analysis: Analysis, scores: Scores | None, settings: ViewSettings, placed: Placed, findings: Findings = NO_FINDINGS
+) -> Picture:
     """Draw an analysis as far as it has come."""
     shown = shown_pose(analysis, settings)
     pose = shown.matrix
-    source_colors, target_colors = point_colors(analysis, scores, settings)
+    source_colors, target_colors = point_colors(analysis, scores, settings, findings)
     moved, rotation, position = _placed_at(placed, pose)
     overlaid_position = position
     right = rightward(placed.up, placed.direction)
@@ -238,20 +254,48 @@ def draw(analysis: Analysis, scores: Scores | None, settings: ViewSettings, plac
         moved = moved + shift * right
     # On the way between two poses, the view holds both of them from the start.
     others = [_placed_at(placed, end)[0] for end in shown.ends if end is not pose] if len(shown.ends) > 1 else []
-    ends, colors = lines(analysis, scores, settings)
+    ends, colors = lines(analysis, scores, settings, findings)
     starts = placed.source_prepared[ends[:, 0]] @ rotation.T + position
     line_points = np.stack([starts, placed.target_prepared[ends[:, 1]]], axis=1)
+    placements: dict[Side, Placement] = {
+        "source": Placement(
+            placed.source_prepared, placed.scale, _raised(analysis.source, analysis, placed), rotation, position
+        ),
+        "target": Placement(
+            placed.target_prepared, placed.scale, _raised(analysis.target, analysis, placed), np.eye(3), np.zeros(3)
+        ),
+    }
     source_rows, target_rows = analysis.source_shown.prepared_rows, analysis.target_shown.prepared_rows
+    source = CloudPicture(placed.source_points, source_rows, source_colors, rotation, position)
+    target = CloudPicture(placed.target_points, target_rows, target_colors, np.eye(3), np.zeros(3))
+    if settings.isolate and findings.picked is not None:
+        radius = analysis.resolved.support_radius
+        source, target = (
+            replace(cloud, colors=isolated(cloud.colors, cloud.points, side, placements[side], findings.picked, radius))
+            for side, cloud in zip(SIDES, (source, target), strict=True)
+        )
     return Picture(
-        source=CloudPicture(placed.source_points, source_rows, source_colors, rotation, position),
-        target=CloudPicture(placed.target_points, target_rows, target_colors, np.eye(3), np.zeros(3)),
+        source=source,
+        target=target,
         overlaid_position=overlaid_position,
         point_size=POINT_RADIUS * placed.spacing * settings.point_size,
         line_points=line_points.astype(np.float32),
         line_colors=colors,
+        line_pixels=LINE_PIXELS if findings.picked is None else THIN_LINE_PIXELS,
+        overlays=draw_overlays(
+            findings.picked, placements, analysis.resolved, settings, error_scale=error_scale(analysis, settings),
+        ),
         view=view_of(placed, np.concatenate([moved, *others, placed.target_prepared])),
         scene=(analysis.index, settings.layout, *shown.key, placed.frame),
-    )
+        followed=settings.picked if settings.follow else None,
+    )  # fmt: skip
+
+
+def _raised(cloud: PointCloud, analysis: Analysis, placed: Placed) -> Floats:
+    """From each prepared point towards the sensor, by the spacing."""
+    normals = np.zeros_like(cloud.points) if cloud.normals is None else cloud.normals
+    raised: Floats = normals * (analysis.resolved.spacing * placed.scale)
+    return raised
 
 
 def _placed_at(placed: Placed, pose: Transform) -> tuple[Floats, Floats, Floats]:
@@ -271,9 +315,25 @@ def view_of(placed: Placed, points: Floats) -> View:
     return View(placed.direction, placed.up, inside[:: max(1, len(inside) // 4000)])
 
 
-def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors]:
-    """Colours of the points drawn, as chosen, or what comes closest before the stages for that are done."""
-    prepared = _prepared_colors(analysis, scores, settings)
+def shown_coloring(analysis: Analysis, scores: Scores | None, settings: ViewSettings, findings: Findings) -> Coloring:
+    """The colouring chosen, or what comes closest before the stages for that are done."""
+    wanted = settings.coloring
+    if wanted == "residual":
+        return "residual"
+    if wanted == "original" or analysis.source_features is None:
+        return "original"
+    if wanted == "stage" and findings.stages is not None:
+        return "stage"
+    if wanted == "distance" and distance_range(findings.picked) is not None:
+        return "distance"
+    return "error" if wanted != "features" and scores is not None and scores.reference is not None else "features"
+
+
+def point_colors(
+    analysis: Analysis, scores: Scores | None, settings: ViewSettings, findings: Findings
+) -> tuple[Colors, Colors]:
+    """Colours of the points drawn."""
+    prepared = _prepared_colors(analysis, scores, settings, findings)
     if prepared is None:
         return (
             _own_colors(analysis.source_shown, analysis.source, SOURCE_TINT),
@@ -282,17 +342,26 @@ def point_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettin
     return prepared[0][analysis.source_shown.prepared_rows], prepared[1][analysis.target_shown.prepared_rows]
 
 
-def _prepared_colors(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[Colors, Colors] | None:
-    """Colours of the prepared points by error or features; None where the points' own are to be shown."""
+def _prepared_colors(
+    analysis: Analysis, scores: Scores | None, settings: ViewSettings, findings: Findings
+) -> tuple[Colors, Colors] | None:
+    """Colours of the prepared points; None where the points' own are to be shown."""
     source_features, target_features = analysis.source_features, analysis.target_features
-    if settings.coloring == "residual":
+    coloring = shown_coloring(analysis, scores, settings, findings)
+    if coloring == "residual":
         scale = residual_scale(analysis, settings)
         both = residuals(analysis, shown_pose(analysis, settings).matrix, limit=scale)
         source, target = (error_colors(distances, scale=scale, palette=settings.palette) for distances in both)
         return source, target
-    if settings.coloring == "original" or source_features is None or target_features is None:
+    if coloring == "original" or source_features is None or target_features is None:
         return None
-    if settings.coloring == "error" and scores is not None and scores.reference is not None:
+    if coloring == "stage":
+        assert findings.stages is not None
+        return stage_colors(findings.stages.source), stage_colors(findings.stages.target)
+    if coloring == "distance":
+        return _distances_of_points(findings)
+    if coloring == "error":
+        assert scores is not None
         assert analysis.matches is not None
         assert analysis.back_matches is not None
         scale = error_scale(analysis, settings)
@@ -302,11 +371,34 @@ def _prepared_colors(analysis: Analysis, scores: Scores | None, settings: ViewSe
             _errors_of_points(len(analysis.target), analysis.back_matches, scores.back, scores.target_partner,
                               settings, scale),
         )  # fmt: skip
-    basis = feature_basis(source_features.vectors, target_features.vectors)
+    source, target = _colors_of_features(source_features, target_features)
     return (
-        _spread(source_features, feature_colors(source_features.vectors, basis), len(analysis.source)),
-        _spread(target_features, feature_colors(target_features.vectors, basis), len(analysis.target)),
+        _spread(source_features, source, len(analysis.source)),
+        _spread(target_features, target, len(analysis.target)),
     )
+
+
+_FEATURE_COLORS: WeakKeyDictionary[Features, tuple[weakref.ref[Features], tuple[Colors, Colors]]] = WeakKeyDictionary()
+"""Of source features, with the target features that share their basis: pictures change more often than features."""
+
+
+def _colors_of_features(source: Features, target: Features) -> tuple[Colors, Colors]:
+    kept = _FEATURE_COLORS.get(source)
+    if kept is None or kept[0]() is not target:
+        basis = feature_basis(source.vectors, target.vectors)
+        colors = feature_colors(source.vectors, basis), feature_colors(target.vectors, basis)
+        kept = _FEATURE_COLORS[source] = (weakref.ref(target), colors)
+    return kept[1]
+
+
+def _distances_of_points(findings: Findings) -> tuple[Colors, Colors]:
+    picked, ends = findings.picked, distance_range(findings.picked)
+    assert picked is not None
+    assert ends is not None
+    own, other = (
+        distance_colors(distances, low=ends[0], high=ends[1]) for distances in (picked.own_distances, picked.distances)
+    )
+    return (own, other) if picked.side == "source" else (other, own)
 
 
 def error_scale(analysis: Analysis, settings: ViewSettings) -> float:
@@ -354,26 +446,44 @@ def _errors_of_points(
     return error_colors(errors, scale=scale, palette=settings.palette, has_partner=partner)
 
 
-def lines(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> tuple[npt.NDArray[np.int64], Colors]:
+def lines(
+    analysis: Analysis, scores: Scores | None, settings: ViewSettings, findings: Findings
+) -> tuple[npt.NDArray[np.int64], Colors]:
     """The matches to draw: their two rows, and their colours."""
+    nothing = np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8)
     if analysis.matches is None or scores is None:
-        return np.zeros((0, 2), dtype=np.int64), np.zeros((0, 3), dtype=np.uint8)
-    rows = in_bar(kept_rows(analysis.matches, settings), analysis.matches, scores.forward, settings)
+        return nothing
+    coloring = shown_coloring(analysis, scores, settings, findings)
+    # A heat map shows one point only, and so does what is isolated.
+    if coloring == "distance" or (settings.isolate and findings.picked is not None):
+        return nothing
+    indices = analysis.matches.correspondences.indices
+    by_stage = coloring == "stage"
+    # Where the colours say which stage rejects a match, the rejected ones are drawn too.
+    rows = np.arange(len(indices)) if by_stage else kept_rows(analysis.matches, settings)
+    rows = in_bar(rows, analysis.matches, scores.forward, settings)
+    if settings.selected is not None:
+        column = 0 if settings.selected.side == "source" else 1
+        rows = rows[np.isin(indices[rows, column], settings.selected.indices)]
+    is_judged = scores.reference is not None
     chosen = choose_lines(
         rows,
         # Without a pose nothing is known but how alike the features are.
-        scores.forward.errors if scores.reference is not None else analysis.matches.correspondences.distances,
-        scores.forward.has_partner if scores.reference is not None else np.ones(len(analysis.matches), dtype=bool),
+        scores.forward.errors if is_judged else analysis.matches.correspondences.distances,
+        scores.forward.has_partner if is_judged and not by_stage else np.ones(len(indices), dtype=bool),
         settings,
     )
+    if by_stage:
+        assert findings.stages is not None
+        return indices[chosen], stage_colors(findings.stages.source[indices[chosen, 0]])
     scale = error_scale(analysis, settings)
     colors = error_colors(
         scores.forward.errors[chosen], scale=scale, palette=settings.palette,
         has_partner=scores.forward.has_partner[chosen],
     )  # fmt: skip
-    if scores.reference is None:
+    if not is_judged:
         colors = np.tile(np.asarray(UNJUDGED, dtype=np.uint8), (len(chosen), 1))
-    return analysis.matches.correspondences.indices[chosen], colors
+    return indices[chosen], colors
 
 
 def choose_lines(

@@ -116,8 +116,10 @@ def _scene(session: Session) -> dict[str, Any]:
 def _legends(session: Session) -> dict[str, Any]:
     snapshot, (analysis, scores, settings, _) = session.snapshot(), session.shown()
     assert analysis is not None
+    findings = session.findings()
     return {
-        name: asdict(legend_of(analysis, scores, replace(settings, coloring=name))) for name in _colorings(snapshot)
+        name: asdict(legend_of(analysis, scores, replace(settings, coloring=name), findings))
+        for name in _colorings(snapshot)
     }
 
 

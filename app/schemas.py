@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.settings import (
     MAX_COLUMNS,
     MAX_LINES,
+    MAX_SELECTED,
     Bar,
     BarKind,
     Coloring,
@@ -18,13 +19,35 @@ from app.settings import (
     ModelRequest,
     Normals,
     Palette,
+    Picked,
     Pose,
     Reference,
+    Selected,
+    StepOrder,
 )
-from cgf.pipeline import RegistrationSettings, Unit
+from cgf.pipeline import RegistrationSettings, Side, Unit
 from cgf.registration import IcpMetric
 
 Length = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
+Row = Annotated[int, Field(ge=0, le=1_000_000_000)]
+
+
+class PickedPoint(BaseModel):
+    """A point of a prepared cloud, by its row."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    side: Side
+    index: Row
+
+
+class SelectedPoints(BaseModel):
+    """Points of a prepared cloud, by their rows."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    side: Side
+    indices: Annotated[list[Row], Field(min_length=1, max_length=MAX_SELECTED)]
 
 
 class HistogramBar(BaseModel):
@@ -82,6 +105,12 @@ class SettingsPatch(BaseModel):
     bar: HistogramBar | None = None
     columns: Annotated[list[ComparedColumn], Field(max_length=MAX_COLUMNS)] = []
     compare_pair: bool = False
+    picked: PickedPoint | None = None
+    selected: SelectedPoints | None = None
+    isolate: bool = False
+    support_sphere: bool = False
+    step_order: StepOrder = "worst"
+    follow: bool = False
 
     def changes(self) -> dict[str, Any]:
         """The settings that were sent."""
@@ -90,6 +119,10 @@ class SettingsPatch(BaseModel):
             changes["bar"] = Bar(**self.bar.model_dump())
         if "columns" in changes:
             changes["columns"] = tuple(Column(**column.model_dump()) for column in self.columns)
+        if self.picked is not None:
+            changes["picked"] = Picked(self.picked.side, self.picked.index)
+        if self.selected is not None:
+            changes["selected"] = Selected(self.selected.side, tuple(self.selected.indices))
         return changes
 
 
@@ -117,6 +150,15 @@ class EstimateChoice(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     name: Annotated[str, Field(max_length=20)]
+
+
+class Step(BaseModel):
+    """To another match of those that are gone through one by one."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    by: Literal[-1, 1] = 1
+    """Forwards or backwards."""
 
 
 class Problem(BaseModel):

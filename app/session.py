@@ -10,12 +10,19 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from app import snapshot as snapshots
 from app.analysis import Analysis, Analyst, Scores, kept_rows, score
 from app.columns import draw_columns
+from app.explorer import NO_FINDINGS, Explorer, Findings, check_rows, stepped
+from app.funnel import funnel_of, picked_of
 from app.jobs import Job, Worker
+from app.picking import Camera, Floats, point_at_ray, points_in_box
 from app.picture import Picture, Placed, draw, place
-from app.settings import ViewSettings
+from app.plots import right_within
+from app.point import PointDetails, point_details
+from app.settings import MAX_SELECTED, Picked, Selected, ViewSettings
 from app.snapshot import CloudInfo, Message, Snapshot, Status
 from app.state_text import write_state
 from app.workbench import Workbench
@@ -77,6 +84,7 @@ class Session:
         self._work_done: tuple[object, ...] | None = None
         self._placed: tuple[Analysis, Placed] | None = None
         self._score = lru_cache(maxsize=2)(score)
+        self._explorer = Explorer()
         self._picture: Picture | None = None
         self._snapshot: Snapshot | None = None
         # Estimating a pose holds up nothing: the next change is computed meanwhile.
@@ -146,6 +154,9 @@ class Session:
         with self._lock:
             settings = self._settings.changed(changes, pairs=len(self._pairs))
             analysis = self._analysis
+            if analysis is not None and settings.work_key == self._work_done:
+                # While clouds are still to be prepared their rows are not known; one they do not have picks nothing.
+                check_rows(analysis, settings)
             needs_work = settings.work_key != self._settings.work_key
             if needs_work and analysis is not None and settings.pair == analysis.index:
                 try:
@@ -155,17 +166,80 @@ class Session:
                         pipeline.resolve(wanted, analysis.pair.source, analysis.pair.target)
                 except ValueError as error:
                     raise InputError(_in_words_of_the_page(str(error))) from error
+            new_matches = settings.match_key != self._settings.match_key
             self._settings = settings
             self._error = None
+            if not new_matches:
+                self._redraw()
             if needs_work:
                 self._status = Status("working", "Starting", 0.0)
                 self._submit()
-            else:
-                self._redraw()
+            self._touch()
         if "columns" in changes or needs_work:
             self.workbench.compare()
         self._notify()
         return self.snapshot()
+
+    def point(self) -> PointDetails:
+        """Everything about the picked point.
+
+        Raises:
+            InputError: Nothing is picked, or there are no matches yet.
+        """
+        with self._lock:
+            analysis, scores, findings = self._analysis, self._scores(), self.findings()
+            if analysis is None or scores is None:
+                raise InputError("There are no matches yet; wait until they are computed.")
+            if findings.picked is None:
+                raise InputError("Nothing is picked; click a point in the scene.")
+            near = right_within(analysis, self._settings)
+            return point_details(self._revision, analysis, scores, findings, near=near)
+
+    def pick_at(self, origin: Floats, direction: Floats, *, pixel: float) -> None:
+        """Pick the point under a pointer; beside all points, pick nothing any more.
+
+        Args:
+            origin: Of the ray through the pointer, in the frame of the picture.
+            direction: Of the ray.
+            pixel: Size of a pixel at distance 1.
+        """
+        picture = self.picture()
+        if picture is not None and not picture.columns:
+            found = point_at_ray(picture, origin, direction, pixel=pixel)
+            self.change({"picked": None if found is None else Picked(*found), "selected": None})
+
+    def select_in(self, camera: Camera, low: tuple[float, float], high: tuple[float, float]) -> None:
+        """Pick the point in the middle of a box on the screen, and draw lines from the points in the box only.
+
+        Args:
+            camera: That sees the box.
+            low: Its left upper corner, as shares of the window.
+            high: Its right lower corner.
+        """
+        picture = self.picture()
+        found = None if picture is None or picture.columns else points_in_box(picture, camera, low, high)
+        if found is None:
+            self.change({"picked": None, "selected": None})
+            return
+        side, rows = found
+        # Evenly thinned from the middle outwards.
+        some = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MAX_SELECTED)).astype(np.int64))]
+        self.change({"picked": Picked(side, int(rows[0])), "selected": Selected(side, tuple(some.tolist()))})
+
+    def step(self, by: int) -> Snapshot:
+        """Pick and isolate the match `by` places from the picked one, in the order chosen.
+
+        Raises:
+            InputError: There is no match to go to.
+        """
+        with self._lock:
+            analysis, scores = self._analysis, self._scores()
+            if analysis is None or scores is None:
+                raise InputError("There are no matches yet; wait until they are computed.")
+            picked = stepped(analysis, scores, self._settings, by=by)
+            if picked is None:
+                raise InputError("No match passes the filters; relax the ratio or switch off mutual.")
+        return self.change({"picked": picked, "isolate": True})
 
     def cancel(self) -> None:
         """Stop the running work; what is shown stays."""
@@ -226,6 +300,7 @@ class Session:
                 self._scores(),
                 replace(self._settings, **changes),
                 placed[1] if placed is not None and fits else place(analysis),
+                self.findings(),
             )
 
     def export(self, suffix: str) -> bytes:
@@ -295,6 +370,10 @@ class Session:
                     return
                 # Until the new pose is estimated, the last one is a good judge of the new matches.
                 analysis = replace(analysis, registration=shown.registration)
+                if analysis.matches is shown.matches and self._preview is None:
+                    # Only a filter has changed, and that is shown already.
+                    self._analysis = analysis
+                    return
             self._analysis, self._preview = analysis, None
             self._redraw()
         self._notify()
@@ -321,7 +400,12 @@ class Session:
             placed = self._placed
             if placed is None or placed[0].source is not analysis.source or placed[0].target is not analysis.target:
                 self._placed = placed = (analysis, place(analysis, None if placed is None else placed[1]))
-            self._picture = draw(analysis, self._score(analysis, self._settings.reference), self._settings, placed[1])
+            scores, findings = self._score(analysis, self._settings.reference), self.findings()
+            if self._preview is not None:
+                # What is known of points belongs to the last good result, and most have no stage yet.
+                same = self._analysis is not None and self._analysis.source is analysis.source
+                findings = Findings(picked=findings.picked if same else None)
+            self._picture = draw(analysis, scores, self._settings, placed[1], findings)
             if self._settings.columns:
                 columns = self.workbench.columns(analysis, self._settings)
                 self._picture = draw_columns(self._picture, columns, self._settings, placed[1])
@@ -330,6 +414,13 @@ class Session:
     def _scores(self) -> Scores | None:
         """Scores of the last good result; called with the lock held."""
         return None if self._analysis is None else self._score(self._analysis, self._settings.reference)
+
+    def findings(self) -> Findings:
+        """What is known of stages and of the picked point."""
+        with self._lock:
+            if self._analysis is None:
+                return NO_FINDINGS
+            return self._explorer.look(self._analysis, self._scores(), self._settings)
 
     def _touch(self) -> None:
         self._revision += 1
@@ -365,11 +456,11 @@ class Session:
             return Snapshot(
                 revision=self._revision, status=self._status, settled=False, previewed=None, pairs=names,
                 settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
-                reference=None, numbers=None, estimate=None, curve=None, funnel=(), legend=None,
+                reference=None, numbers=None, estimate=None, curve=None, funnel=(), picked=None, legend=None,
                 messages=tuple(messages), columns=(), command="",
                 shared=write_state(settings), view_command="",
             )  # fmt: skip
-        scores = self._scores()
+        scores, findings = self._scores(), self.findings()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
         messages += [
             replace(message, text=_in_words_of_the_page(message.text))
@@ -403,8 +494,9 @@ class Session:
             numbers=numbers,
             estimate=snapshots.estimate_of(analysis),
             curve=curve,
-            funnel=snapshots.funnel_of(analysis, settings, numbers),
-            legend=snapshots.legend_of(analysis, scores, settings),
+            funnel=funnel_of(analysis, scores, settings, findings),
+            picked=picked_of(analysis, scores, settings, findings),
+            legend=snapshots.legend_of(analysis, scores, settings, findings),
             messages=tuple(messages),
             columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
             command=_command(self._pairs[analysis.index], settings),

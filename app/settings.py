@@ -7,22 +7,24 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from cgf.pipeline import METRES, PairSettings, Unit
+from cgf.pipeline import METRES, PairSettings, Side, Unit
 
 LineChoice = Literal["stratified", "random", "best", "worst"]
 Layout = Literal["side_by_side", "overlaid"]
 Pose = Literal["loaded", "ground_truth", "estimate"]
 Reference = Literal["ground_truth", "estimate"]
-Coloring = Literal["error", "features", "original", "residual"]
+Coloring = Literal["error", "features", "original", "stage", "distance", "residual"]
 Palette = Literal["paper", "viridis", "blue_orange"]
 Normals = Literal["stored", "estimated"]
 Flip = Literal["none", "source", "target", "both"]
+StepOrder = Literal["worst", "best", "random"]
 ModelRequest = Literal["auto", "object", "indoor"]
 
 BarKind = Literal["error", "distance"]
 
 MAX_LINES = 5_000
 MAX_COLUMNS = 3
+MAX_SELECTED = 1_000
 POINT_SIZES = (0.25, 4.0)
 
 
@@ -47,6 +49,23 @@ class Column:
     descriptor: str
     dim: int | None = None
     support_radius: float | None = None
+
+
+@dataclass(frozen=True)
+class Picked:
+    """One point of a prepared cloud."""
+
+    side: Side
+    index: int
+
+
+@dataclass(frozen=True)
+class Selected:
+    """Some points of a prepared cloud."""
+
+    side: Side
+    indices: tuple[int, ...]
+    """At most `MAX_SELECTED`."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +130,18 @@ class ViewSettings:
     """What is compared; empty shows the pair itself."""
     compare_pair: bool = False
     """Whether every column shows the target as well, overlaid."""
+    picked: Picked | None = None
+    """The point looked into."""
+    selected: Selected | None = None
+    """Lines are drawn from these points only; None draws from all."""
+    isolate: bool = False
+    """Draw nothing but the picked point and its match, and dim all other points."""
+    support_sphere: bool = False
+    """Draw the sphere that the picked point's feature describes."""
+    step_order: StepOrder = "worst"
+    """In which order to go through the matches one by one."""
+    follow: bool = False
+    """Move the camera to the point that is picked."""
 
     @classmethod
     def of_pair(cls, wanted: PairSettings) -> "ViewSettings":
@@ -128,6 +159,11 @@ class ViewSettings:
     def work_key(self) -> tuple[object, ...]:
         """All that needs the worker when it changes; the rest is drawn again at once."""
         return (self.pair, self.pair_settings())
+
+    @property
+    def match_key(self) -> tuple[object, ...]:
+        """All that needs new matches when it changes; filters choose among those that there are."""
+        return (self.pair, replace(self.pair_settings(), mutual=False, max_ratio=None))
 
     def changed(self, changes: Mapping[str, Any], *, pairs: int) -> "ViewSettings":
         """These settings with some replaced and every number clamped to what can be drawn.
@@ -179,6 +215,11 @@ class ViewSettings:
                 raise ValueError(f"{name} must be the name of a pose, such as loaded or run-1, got {pose}")
         if len(new.columns) > MAX_COLUMNS:
             raise ValueError(f"columns must be {MAX_COLUMNS} at most, got {len(new.columns)}")
+        if any(getattr(new, name) != getattr(self, name) for name in _OF_THE_ROWS):
+            points: dict[str, Any] = {name: changes.get(name) for name in ("picked", "selected")}
+            new = replace(new, **points)
+        if new.picked is None:
+            new = replace(new, isolate=False)
         return replace(
             new,
             pose_share=min(max(new.pose_share, 0.0), 1.0),
@@ -189,6 +230,8 @@ class ViewSettings:
 
 _OF_PAIR = tuple({field.name for field in fields(PairSettings)} & {field.name for field in fields(ViewSettings)})
 _LENGTHS = ("support_radius", "min_radius", "lrf_radius", "voxel_size", "error_scale", "right_within")
+_OF_THE_ROWS = ("pair", "model", "voxel_size", "unit", "source_scale")
+"""What the prepared clouds depend on, whose rows are what points are named by."""
 _CHOICES: dict[str, tuple[object, ...]] = {
     "model": get_args(ModelRequest),
     "unit": tuple(METRES),
@@ -200,4 +243,5 @@ _CHOICES: dict[str, tuple[object, ...]] = {
     "reference": (None, *get_args(Reference)),
     "coloring": get_args(Coloring),
     "palette": get_args(Palette),
+    "step_order": get_args(StepOrder),
 }

@@ -10,15 +10,21 @@ from app.analysis import Analysis, Scores, kept_rows
 from app.colors import (
     NO_MATCH,
     NO_PARTNER,
+    PARTNER,
+    PICKED,
     SOURCE_TINT,
+    STAGE_COLORS,
     TARGET_TINT,
     UNJUDGED,
     are_colors_usable,
+    distance_colors,
     error_colors,
     shaded_colors,
 )
 from app.compare import ColumnInfo
-from app.picture import error_scale, residual_scale
+from app.explorer import Findings, distance_range
+from app.funnel import PickedInfo, Step, stage_text
+from app.picture import error_scale, residual_scale, shown_coloring
 from app.plots import right_within
 from app.poses import shown_pose
 from app.settings import MAX_LINES, POINT_SIZES, Coloring, Pose, Reference, ViewSettings
@@ -27,6 +33,7 @@ from cgf import descriptors, pipeline
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.evaluation import metrics
 from cgf.geometry import transforms
+from cgf.pipeline import REJECTIONS
 
 CURVE_STEPS = 60
 LEGEND_STEPS = 256
@@ -151,18 +158,18 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Step:
-    """One stage of the way from points to right matches."""
-
-    name: str
-    count: int
-
-
-@dataclass(frozen=True)
 class Swatch:
     """A colour with a meaning."""
 
     color: str
+    label: str
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A mark along a ramp."""
+
+    at: float
     label: str
 
 
@@ -173,10 +180,12 @@ class Legend:
     coloring: Coloring
     title: str
     ramp: tuple[str, ...]
-    """From no error to `scale`; empty where colours do not mean errors."""
+    """From no error to `scale`, or along `ticks`; empty where colours mean neither."""
     scale: float | None
     """In cloud units."""
     swatches: tuple[Swatch, ...]
+    ticks: tuple[Tick, ...] = ()
+    """Of a ramp that means something else than errors, from 0 to 1 along it."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +223,7 @@ class Snapshot:
     estimate: Estimate | None
     curve: Curve | None
     funnel: tuple[Step, ...]
+    picked: PickedInfo | None
     legend: Legend | None
     messages: tuple[Message, ...]
     columns: tuple[ColumnInfo, ...]
@@ -312,26 +322,13 @@ def estimate_of(analysis: Analysis) -> Estimate | None:
     )
 
 
-def funnel_of(analysis: Analysis, settings: ViewSettings, numbers: Numbers | None) -> tuple[Step, ...]:
-    """Counts from the source's points to its right matches."""
-    steps = [Step("Points in the source", len(analysis.pair.source)), Step("After downsampling", len(analysis.source))]
-    if analysis.source_features is not None:
-        steps.append(Step("With a feature", len(analysis.source_features)))
-    if analysis.matches is not None:
-        if settings.mutual:
-            steps.append(Step("Mutual matches", int(np.count_nonzero(analysis.matches.mutual))))
-        if settings.max_ratio is not None:
-            steps.append(Step("Within the ratio", len(kept_rows(analysis.matches, settings))))
-        if not settings.mutual and settings.max_ratio is None:
-            steps.append(Step("Matched", len(analysis.matches)))
-    if numbers is not None:
-        steps += [Step("With a true partner", numbers.with_partner), Step("Right", numbers.right)]
-    return tuple(steps)
-
-
-def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> Legend:
+def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings, findings: Findings) -> Legend:
     """Explain the colours, which are made by the functions that coloured the points."""
-    coloring = shown_coloring(analysis, scores, settings)
+    coloring = shown_coloring(analysis, scores, settings, findings)
+    if coloring == "distance":
+        return _distance_legend(findings)
+    if coloring == "stage":
+        return _stage_legend(findings)
     if coloring == "residual":
         scale = residual_scale(analysis, settings)
         ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale, palette=settings.palette)
@@ -367,15 +364,34 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings)
     return Legend(coloring, title, tuple(_hex(color) for color in ramp.tolist()), scale, tuple(swatches))
 
 
-def shown_coloring(analysis: Analysis, scores: Scores | None, settings: ViewSettings) -> Coloring:
-    """The colouring chosen, or the one that is shown until its stage is done."""
-    if settings.coloring == "residual":
-        return "residual"
-    if settings.coloring == "original" or analysis.source_features is None:
-        return "original"
-    if settings.coloring == "error" and scores is not None and scores.reference is not None:
-        return "error"
-    return "features"
+def _distance_legend(findings: Findings) -> Legend:
+    ends = distance_range(findings.picked)
+    assert ends is not None
+    low, high = ends
+    ramp = distance_colors(np.geomspace(low, high, LEGEND_STEPS), low=low, high=high)
+    magnitudes = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    round_values = (magnitudes[:, None] * [1, 2, 3, 5, 7]).ravel()
+    inside = [value for value in round_values.tolist() if 1.04 * low < value < high / 1.04]
+    ticks = [Tick(math.log(value / low) / math.log(high / low), f"{value:.3g}") for value in (low, *inside, high)]
+    return Legend(
+        "distance",
+        "Feature distance to the picked point",
+        tuple(_hex(color) for color in ramp.tolist()),
+        None,
+        (Swatch(_hex(PICKED), "picked"), Swatch(_hex(PARTNER), "true partner"), Swatch(_hex(NO_MATCH), "no feature")),
+        tuple(ticks),
+    )
+
+
+def _stage_legend(findings: Findings) -> Legend:
+    assert findings.stages is not None
+    present = set(np.unique(np.concatenate([findings.stages.source, findings.stages.target])).tolist())
+    swatches = [
+        Swatch(_hex(STAGE_COLORS[name]), stage_text(name, judged=findings.stages.judged))
+        for code, name in enumerate(REJECTIONS)
+        if code in present
+    ]
+    return Legend("stage", "The stage that rejects a point or match", (), None, tuple(swatches))
 
 
 def messages_of(

@@ -23,17 +23,22 @@ export function renderLegend({ legend, reference, unit }) {
       context.fillStyle = color;
       context.fillRect(column, 0, 1, 1);
     });
-    const { size } = axisUnit(legend.scale, unit);
-    const marks = roundValues(0, legend.scale / size).filter((value) => value * size < legend.scale)
-      .map((value) => [value * size, significant(value, 3)]);
-    marks.push([legend.scale, `≥ ${length(legend.scale, unit)}`]);
-    $("ramp-ticks").replaceChildren(...marks.map(([value, text]) => {
+    const marks = legend.ticks.length ? legend.ticks.map(({ at, label }) => [at, label]) : errorTicks(legend.scale, unit);
+    $("ramp-ticks").replaceChildren(...marks.map(([at, text]) => {
       const tick = element("span", { textContent: text });
-      tick.style.left = `${(100 * value) / legend.scale}%`;
+      tick.style.left = `${100 * at}%`;
       return tick;
     }));
     thinTicks();
   }
+}
+
+/** Marks of errors: shares of the scale, and texts. */
+function errorTicks(scale, unit) {
+  const { size } = axisUnit(scale, unit);
+  const marks = roundValues(0, scale / size).filter((value) => value * size < scale)
+    .map((value) => [(value * size) / scale, significant(value, 3)]);
+  return [...marks, [1, `≥ ${length(scale, unit)}`]];
 }
 
 /** Drop the labels that the last one, or the one before, leaves no room for. */

@@ -6,7 +6,7 @@ One module a topic, each with a function `router` that gives its paths.
 from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
-from app.routes import pages, results, scene, state, workbench
+from app.routes import pages, point, results, scene, state, workbench
 from app.routes.problems import add_problems
 from app.session import Session
 from app.static_files import static_folder
@@ -27,5 +27,6 @@ def create_app(session: Session, shown: scene.Scene) -> FastAPI:
     app.include_router(state.router(session))
     app.include_router(results.router(session))
     app.include_router(workbench.router(session))
+    app.include_router(point.router(session))
     add_problems(app)
     return app

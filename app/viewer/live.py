@@ -54,10 +54,12 @@ class LiveScene:
 
     def _start(self) -> None:
         # Imports viser, which takes half a second that the page need not wait for.
+        from app.viewer.pointer import listen_to_pointer
         from app.viewer.scene import SceneView
 
         self._host = ViserHost()
         self._view = SceneView(self._host.server, self._session.picture)
+        listen_to_pointer(self._host.server, on_click=self._session.pick_at, on_box=self._session.select_in)
         self._ready.set()
         self._session.listen(self._view.update)
         self._view.update()

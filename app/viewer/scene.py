@@ -1,6 +1,7 @@
 """Puts pictures into viser, sending only what changed."""
 
 import threading
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -8,9 +9,12 @@ import viser
 import viser.transforms
 
 from app.colors import line_colors
-from app.picture import FIELD_OF_VIEW, CloudPicture, Picture, View
+from app.overlays import NOTHING, Overlays
+from app.picture import FIELD_OF_VIEW, CloudPicture, Floats, Picture, View
 
-LINE_PIXELS = 1.6
+OVERLAY_PIXELS = 2.6
+FLIGHT_STEPS = 8
+FLIGHT_S = 0.3
 _USUAL_ASPECT = 1.7
 
 
@@ -25,6 +29,8 @@ class SceneView:
         self._clouds: dict[str, viser.PointCloudHandle] = {}
         self._lines: viser.LineSegmentsHandle | None = None
         self._labels: list[viser.LabelHandle] = []
+        self._overlays: list[viser.SceneNodeHandle] = []
+        self._flights = 0
         self._lock = threading.Lock()
         server.initial_camera.fov = float(FIELD_OF_VIEW)
         server.on_client_connect(self._frame)
@@ -42,6 +48,7 @@ class SceneView:
                     self._clouds[name].visible = not picture.columns
                 self._draw_lines(picture, before)
                 self._draw_columns(picture, before)
+                self._draw_overlays(_overlays(picture), _overlays(before))
                 moved = before is None or before.scene != picture.scene
                 if moved:
                     self._set_first_view(picture.view)
@@ -49,6 +56,8 @@ class SceneView:
             self._drawn = picture
         if moved:
             self.reset_cameras()
+        if picture.followed is not None and (before is None or before.followed != picture.followed):
+            threading.Thread(target=self._fly_to, args=(picture,), name="flight", daemon=True).start()
 
     def clouds(self) -> dict[str, viser.PointCloudHandle]:
         """Handles of the clouds drawn so far, by name."""
@@ -92,6 +101,7 @@ class SceneView:
             and bool(before.columns) == bool(picture.columns)
             and np.array_equal(before.line_points, picture.line_points)
             and np.array_equal(before.line_colors, picture.line_colors)
+            and before.line_pixels == picture.line_pixels
         ):
             return
         if not len(picture.line_points) or picture.columns:
@@ -102,9 +112,10 @@ class SceneView:
         colors = np.repeat(line_colors(picture.line_colors)[:, None], 2, axis=1)
         if self._lines is not None and before is not None and len(before.line_points) == len(picture.line_points):
             self._lines.points, self._lines.colors = picture.line_points, colors
+            self._lines.thickness = picture.line_pixels
             return
         self._lines = self._server.scene.add_line_segments(
-            "/matches", picture.line_points, colors, thickness=LINE_PIXELS, thickness_units="screen"
+            "/matches", picture.line_points, colors, thickness=picture.line_pixels, thickness_units="screen"
         )
 
     def _draw_columns(self, picture: Picture, before: Picture | None) -> None:
@@ -127,6 +138,34 @@ class SceneView:
             for number, column in enumerate(picture.columns)
         ]
 
+    def _draw_overlays(self, overlays: Overlays, before: Overlays) -> None:
+        if all(
+            np.array_equal(getattr(before, name), getattr(overlays, name)) for name in overlays.__dataclass_fields__
+        ):
+            return
+        for node in self._overlays:
+            node.remove()
+        self._overlays = []
+        if len(overlays.marker_points):
+            self._overlays.append(
+                self._server.scene.add_point_cloud(
+                    "/picked/points",
+                    overlays.marker_points,
+                    overlays.marker_colors,
+                    point_size=overlays.marker_size,
+                    point_shape="circle",
+                    point_shading="flat",
+                    precision="float32",
+                )
+            )
+        if len(overlays.line_points):
+            colors = np.repeat(line_colors(overlays.line_colors)[:, None], 2, axis=1)
+            self._overlays.append(
+                self._server.scene.add_line_segments(
+                    "/picked/lines", overlays.line_points, colors, thickness=OVERLAY_PIXELS, thickness_units="screen"
+                )
+            )
+
     def _set_first_view(self, view: View) -> None:
         """Where tabs start that are opened from now on."""
         self._server.scene.set_up_direction(view.up)
@@ -142,13 +181,45 @@ class SceneView:
         camera = client.camera
         aspect = camera.image_width / max(camera.image_height, 1)
         view = picture.view
-        with client.atomic():
-            camera.up_direction = view.up
-            position, look_at = view.camera(aspect if aspect > 0 else 1.0)
-            # Moving the camera takes its target along, so the target comes last.
-            camera.position = position
-            camera.look_at = look_at
-        client.flush()
+        camera.up_direction = view.up
+        _aim(client, *view.camera(aspect if aspect > 0 else 1.0))
+
+    def _fly_to(self, picture: Picture) -> None:
+        """Bring the focus of the overlays into sight in every tab, along the direction in which it looks already."""
+        with self._lock:
+            self._flights += 1
+            flight = self._flights
+        routes = []
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            before = np.asarray(camera.position), np.asarray(camera.look_at)
+            away = before[0] - before[1]
+            direction = away / max(float(np.linalg.norm(away)), 1e-9)
+            aspect = camera.image_width / max(camera.image_height, 1)
+            view = View(direction, picture.view.up, picture.overlays.focus)
+            routes.append((client, before, view.camera(aspect if aspect > 0 else 1.0)))
+        for step in range(1, FLIGHT_STEPS + 1):
+            share = step / FLIGHT_STEPS
+            eased = share * share * (3 - 2 * share)
+            for client, before, after in routes:
+                if flight != self._flights:
+                    return
+                position, look_at = ((1 - eased) * a + eased * b for a, b in zip(before, after, strict=True))
+                _aim(client, position, look_at)
+            time.sleep(FLIGHT_S / FLIGHT_STEPS)
+
+
+def _overlays(picture: Picture | None) -> Overlays:
+    """What is drawn over the clouds; nothing where others are compared in their place."""
+    return NOTHING if picture is None or picture.columns else picture.overlays
+
+
+def _aim(client: viser.ClientHandle, position: Floats, look_at: Floats) -> None:
+    with client.atomic():
+        # Moving the camera takes its target along, so the target comes last.
+        client.camera.position = position
+        client.camera.look_at = look_at
+    client.flush()
 
 
 def _column_clouds(picture: Picture | None) -> dict[str, CloudPicture]:

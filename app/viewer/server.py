@@ -14,7 +14,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 Handler = Callable[[Any], Awaitable[None]]
 
 _NEEDED = ("ViewerCameraMessage",)
-"""What a browser may tell viser; answers to renders asked for by us are added by viser for the time of the request."""
+"""What a browser may tell viser; answers to renders asked for by us are added by viser for the time of the request.
+Clicks are not among them: `app.viewer.pointer` checks them in viser's place."""
 
 # What viser's own panel, notices and palette would show is on our page, with labels and without covering the scene. Its
 # sorter for Gaussian splats, which are never drawn here, needs `eval`; that our policy refuses it is no error.

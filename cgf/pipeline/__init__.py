@@ -9,7 +9,17 @@ are `InputError`s and name the option of the command line.
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.pipeline.cache import DiskCache, describe_cached, feature_key, match_cached, match_key
 from cgf.pipeline.dense import describe_all, interpolate, nearest_described
-from cgf.pipeline.inspection import PointInspection, Surroundings, best_turn, far_modes, inspect_point
+from cgf.pipeline.inspection import (
+    ALIKE,
+    PointInspection,
+    Side,
+    Surroundings,
+    best_turn,
+    far_modes,
+    inspect_point,
+    shell_edges,
+    uses_frames,
+)
 from cgf.pipeline.registering import RegistrationSettings, register_pair, registration_warning
 from cgf.pipeline.rejection import REJECTIONS, Rejection, rejections
 from cgf.pipeline.settings import (
@@ -35,6 +45,7 @@ from cgf.pipeline.stages import (
 )
 
 __all__ = [
+    "ALIKE",
     "METRES",
     "MODEL_DEFAULTS",
     "REJECTIONS",
@@ -47,6 +58,7 @@ __all__ = [
     "RegistrationSettings",
     "Rejection",
     "ResolvedSettings",
+    "Side",
     "Surroundings",
     "Unit",
     "at_dim",
@@ -72,4 +84,6 @@ __all__ = [
     "rejections",
     "resolve",
     "run_pair",
+    "shell_edges",
+    "uses_frames",
 ]

@@ -1,5 +1,6 @@
 """One point of a pair in detail: what its descriptor sees, and how every point of the other cloud compares."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 from weakref import WeakKeyDictionary
@@ -52,6 +53,8 @@ class PointInspection:
     """The point nearest to the true place; None where no pose is known, or none comes within `tau`."""
     partner_rank: int | None
     """Place of the partner by feature distance, 1 for the match; None without a partner that has a feature."""
+    partner_gap: float
+    """From the true place to the nearest point of the other cloud, in cloud units; nan where no pose is known."""
     distances: Float32[np.ndarray, "M"]
     """Feature distance to every point of the other cloud, by its row; nan where either has no feature."""
     own_distances: Float32[np.ndarray, "N"]
@@ -100,14 +103,15 @@ def inspect_point(
     distances = _feature_distances(vector, other_features, len(other))
     order = _order(distances, other_features)
     nearest = order[:count]
-    errors, partner = np.full(len(nearest), np.nan), None
+    errors, partner, gap = np.full(len(nearest), np.nan), None, math.nan
     if target_from_source is not None:
         other_from_own = target_from_source if side == "source" else transforms.invert(target_from_source)
         place = transforms.apply(other_from_own, cloud.points[row : row + 1])[0]
         gaps = np.linalg.norm(other.points - place, axis=1)
         errors = gaps[nearest]
         closest = int(np.argmin(gaps))
-        partner = closest if gaps[closest] <= result.settings.tau else None
+        gap = float(gaps[closest])
+        partner = closest if gap <= result.settings.tau else None
     ranked = np.flatnonzero(order == partner) if partner is not None else np.zeros(0, dtype=np.int64)
     return PointInspection(
         side=side,
@@ -115,6 +119,7 @@ def inspect_point(
         match=surroundings(other, int(nearest[0]), result.settings) if len(nearest) else None,
         partner=None if partner is None else surroundings(other, partner, result.settings),
         partner_rank=int(ranked[0]) + 1 if len(ranked) else None,
+        partner_gap=gap,
         distances=distances,
         own_distances=_feature_distances(vector, features, len(cloud)),
         nearest=nearest,
@@ -134,9 +139,14 @@ def surroundings(cloud: PointCloud, row: int, settings: ResolvedSettings) -> Sur
     return Surroundings(row, frame, histogram if counts[0] else None, int(counts[0]))
 
 
+def uses_frames(settings: ResolvedSettings) -> bool:
+    """Whether the descriptor describes a point in a local reference frame."""
+    return settings.descriptor in ("cgf", "pca")
+
+
 def frames(cloud: PointCloud, rows: Int64[np.ndarray, "K"], settings: ResolvedSettings) -> Float64[np.ndarray, "K 3 3"]:
     """The local reference frames in which `rows` of a prepared cloud are described; zeros where there is none."""
-    if cloud.normals is None or settings.descriptor not in ("cgf", "pca"):
+    if cloud.normals is None or not uses_frames(settings):
         return np.zeros((len(rows), 3, 3))
     from cgf.geometry.lrf import estimate_lrf  # on first use: Numba takes a second to import
 
@@ -167,6 +177,12 @@ def far_modes(
         modes.append(int(left[0]))
         left = left[np.linalg.norm(points[left] - points[left[0]], axis=1) > apart]
     return np.array(modes, dtype=np.int64)
+
+
+def shell_edges(settings: ResolvedSettings) -> Float64[np.ndarray, "18"]:
+    """Radii between the shells of the spherical histogram, from 0 to the support radius, in cloud units."""
+    shares = np.arange(RADIAL_BINS) / (RADIAL_BINS - 1)
+    return np.concatenate([[0.0], settings.min_radius * (settings.support_radius / settings.min_radius) ** shares])
 
 
 def best_turn(histogram: Histogram, other: Histogram) -> int:

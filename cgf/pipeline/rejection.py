@@ -1,12 +1,13 @@
 """Where each point of a cloud drops out on the way from points to right matches."""
 
 from typing import Literal, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Int8, Int64
 
 from cgf.matching import MatchTable, filter_rows
-from cgf.pipeline.inspection import frames
+from cgf.pipeline.inspection import frames, uses_frames
 from cgf.pipeline.settings import ResolvedSettings
 from cgf.types import Features, PointCloud
 
@@ -44,9 +45,7 @@ def rejections(
     """
     code = {name: np.int8(place) for place, name in enumerate(REJECTIONS)}
     result = np.full(len(cloud), code["no_feature"], dtype=np.int8)
-    if settings.descriptor != "fpfh":
-        missing = np.setdiff1d(np.arange(len(cloud)), features.indices)
-        result[missing[~_has_frame(cloud, missing, settings)]] = code["no_frame"]
+    result[_without_frame(cloud, features, settings)] = code["no_frame"]
     stages = np.full(len(table), code["none"], dtype=np.int8)
     if is_inlier is not None:
         stages[~is_inlier] = code["outlier"]
@@ -60,9 +59,18 @@ def rejections(
     return result
 
 
-def _has_frame(cloud: PointCloud, rows: Int64[np.ndarray, "K"], settings: ResolvedSettings) -> Bool[np.ndarray, "K"]:
-    """Which of `rows` have enough neighbours for a local reference frame."""
-    return np.asarray(frames(cloud, rows, settings).any(axis=(1, 2)))
+_WITHOUT_FRAME: WeakKeyDictionary[Features, Int64[np.ndarray, "_"]] = WeakKeyDictionary()
+"""Filters change often, features seldom."""
+
+
+def _without_frame(cloud: PointCloud, features: Features, settings: ResolvedSettings) -> Int64[np.ndarray, "_"]:
+    """Rows of `cloud` that are not described for want of neighbours for a local reference frame."""
+    if not uses_frames(settings):
+        return np.zeros(0, dtype=np.int64)
+    if features not in _WITHOUT_FRAME:
+        missing = np.setdiff1d(np.arange(len(cloud)), features.indices)
+        _WITHOUT_FRAME[features] = missing[~frames(cloud, missing, settings).any(axis=(1, 2))]
+    return _WITHOUT_FRAME[features]
 
 
 def _failing(table: MatchTable, passing: Int64[np.ndarray, "R"]) -> Bool[np.ndarray, "C"]:

@@ -71,12 +71,21 @@ function describeEstimate(estimate, unit) {
   return estimate.given ? "as given" : `${percent(estimate.fitness, 0)} of points fit`;
 }
 
-function renderFunnel(state) {
-  const largest = Math.max(1, ...state.funnel.map((step) => step.count));
-  funnel.replaceChildren(...state.funnel.map((step) => {
-    const bar = element("i");
-    bar.style.width = `${(100 * step.count) / largest}%`;
-    return element("li", {}, bar, element("span", { textContent: step.name }), element("b", { textContent: count(step.count) }));
+function renderFunnel({ funnel: steps, numbers, unit }) {
+  const largest = Math.max(1, ...steps.map((step) => step.count));
+  const bar = (part, className) => {
+    const made = element("i", { className });
+    made.style.width = `${(100 * part) / largest}%`;
+    return made;
+  };
+  funnel.replaceChildren(...steps.map(({ name, count: left, right, precision }) => {
+    const isJudged = right !== null;
+    const title = isJudged && numbers
+      ? `${name}: ${count(left)} points; ${count(right)} of their matches, ${percent(precision)}, are right within ${length(numbers.precision_radius, unit)}`
+      : `${name}: ${count(left)}`;
+    return element("li", { title }, bar(left, "left"), ...(isJudged ? [bar(right, "right")] : []),
+      element("span", { textContent: name }),
+      ...(isJudged ? [element("small", { textContent: percent(precision) })] : []), element("b", { textContent: count(left) }));
   }));
 }
 

@@ -178,3 +178,34 @@ def test_the_page_loads_nothing_from_elsewhere() -> None:
         assert "style=" not in text, path
         # A report is a file of its own, with its script inside.
         assert path.suffix != ".html" or path.parent.name == "report" or "<script>" not in text, path
+
+
+def test_a_point_is_picked_and_told_of(app: FastAPI) -> None:
+    state = patch(app, '{"picked": {"side": "target", "index": 12}}').json()
+    assert state["picked"]["index"] == state["settings"]["picked"]["index"] == 12
+    point = request(app, "GET", "/api/point").json()
+    assert (point["side"], point["index"]) == ("target", 12)
+    assert len(point["point_histogram"]["bins"]) == 12 * 11 * 17
+    stepped = request(app, "POST", "/api/step", headers=JSON, body=b'{"by": 1}').json()
+    assert stepped["picked"]["side"] == "source"
+    assert patch(app, '{"picked": null}').json()["picked"] is None
+    assert request(app, "GET", "/api/point").status == 422
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ('{"picked": {"side": "left", "index": 1}}', "Picked should be 'source' or 'target'."),
+        ('{"picked": {"side": "source", "index": -1}}', "Picked should be greater than or equal to 0."),
+        ('{"picked": {"side": "source", "index": 1.5}}', "Picked should be a valid integer"),
+        ('{"picked": {"side": "source"}}', "Picked: Field required."),
+        ('{"picked": 3}', "Picked should be a valid dictionary"),
+        ('{"picked": {"side": "source", "index": 99999}}', "picked must be a row of the source from 0 to"),
+        ('{"selected": {"side": "source", "indices": []}}', "Selected: List should have at least 1 item"),
+        ('{"step_order": "nearest"}', "Step order should be 'worst', 'best' or 'random'."),
+    ],
+)
+def test_a_point_that_cannot_be_picked_is_refused(app: FastAPI, body: str, message: str) -> None:
+    answer = patch(app, body)
+    assert answer.status == 422
+    assert message in answer.json()["message"]

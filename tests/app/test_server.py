@@ -6,7 +6,7 @@ import queue
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from socket import create_connection
 from typing import Any
@@ -20,6 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from app.session import Session
 from app.settings import ViewSettings
+from app.snapshot import Snapshot
 from tests.app.scenes import hills, source_of
 from tests.app.serving import LONG_S, Served, serve
 
@@ -128,7 +129,11 @@ def test_a_malformed_message_ends_its_own_connection_only(served: Served, garbag
 
 
 def test_the_share_tunnel_and_uploads_have_no_handler(served: Served) -> None:
-    assert served.scene.server._websock_server._incoming_handlers == {}
+    # Clicks are checked by us; see below.
+    handlers = served.scene.server._websock_server._incoming_handlers
+    assert [(message.__name__, [handler.__module__ for handler in found]) for message, found in handlers.items()] == [
+        ("ScenePointerMessage", ["app.viewer.pointer"])
+    ]
     with open_scene(served) as socket:
         client = join(served, socket)
         socket.send(serialized(_messages.ShareUrlRequest()))
@@ -143,6 +148,75 @@ def test_the_share_tunnel_and_uploads_have_no_handler(served: Served) -> None:
         socket.send(camera_message())
         assert moved.wait(LONG_S)
     assert served.scene.server._share_tunnel is None
+
+
+def click(origin: Any, direction: Any, **changes: Any) -> bytes:
+    """A click as a browser sends it, or with what no browser would send."""
+    import msgspec
+
+    message = _messages.ScenePointerMessage(
+        event_type="click", ray_origin=None, ray_direction=None, screen_pos=((0.5, 0.5),), modifier=None
+    )
+    fields = message.as_serializable_dict([])
+    return msgspec.msgpack.encode({**fields, "ray_origin": origin, "ray_direction": direction, **changes})
+
+
+def wait_for(served: Served, wanted: Callable[[Snapshot], bool]) -> Snapshot:
+    """The state once it is as wanted."""
+    changed = threading.Event()
+    forget = served.session.listen(changed.set)
+    try:
+        while not wanted(snapshot := served.session.snapshot()):
+            assert changed.wait(LONG_S)
+            changed.clear()
+    finally:
+        forget()
+    return snapshot
+
+
+def test_a_click_in_the_scene_picks_the_point_under_it(served: Served) -> None:
+    picture = served.session.picture()
+    assert picture is not None
+    place = picture.target.points[100] + picture.target.position
+    eye = place + 8 * picture.view.direction
+    with open_scene(served) as socket:
+        join(served, socket)
+        socket.send(click(tuple(eye.tolist()), tuple((place - eye).tolist())))
+        snapshot = wait_for(served, lambda state: state.settings.picked is not None)
+        assert snapshot.settings.picked is not None
+        assert snapshot.settings.picked.side == "target"
+        assert "picked" in {name.strip("/").split("/")[0] for name in served.scene.server.scene._handle_from_node_name}
+        # A click beside all points picks nothing any more.
+        socket.send(click(tuple(eye.tolist()), tuple((eye - place).tolist())))
+        wait_for(served, lambda state: state.settings.picked is None)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        click(None, None),
+        click((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)),
+        click((float("nan"), 0.0, 5.0), (0.0, 0.0, -1.0)),
+        click((1e30, 0.0, 5.0), (0.0, 0.0, -1.0)),
+        click("up", {"x": 1}),
+        click((0.0, 0.0, 5.0), (0.0, 0.0, -1.0), event_type="double-click"),
+        click(None, None, event_type="rect-select", screen_pos=()),
+        click(None, None, event_type="rect-select", screen_pos=(("a", "b"), ("c", "d"))),
+        click(None, None, event_type="rect-select", screen_pos=((float("inf"), 0.0), (0.0, 0.0))),
+    ],
+    ids=range(9),
+)
+def test_a_click_that_makes_no_sense_changes_nothing(served: Served, message: bytes) -> None:
+    before = served.session.revision
+    with open_scene(served) as socket:
+        client = join(served, socket)
+        socket.send(message)
+        # The connection lives on: what is sent next still arrives.
+        moved = threading.Event()
+        client.camera.on_update(lambda _: moved.set())
+        socket.send(camera_message())
+        assert moved.wait(LONG_S)
+    assert served.session.revision == before
 
 
 def test_a_client_that_leaves_is_forgotten(served: Served) -> None:

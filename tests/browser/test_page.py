@@ -27,8 +27,8 @@ def test_the_numbers_on_the_page_are_those_of_the_api(viewer: Viewer) -> None:
     expect(viewer.page.locator("#precision")).to_have_text(f"{100 * state['numbers']['precision']:.1f} %")
     expect(viewer.page.locator("#status-text")).to_have_text("Ready")
     expect(viewer.page.locator("#model")).to_have_text(state["model"]["reason"])
-    right = viewer.page.locator("#funnel li").last
-    expect(right).to_contain_text(f"{state['numbers']['right']:,}")
+    last = state["funnel"][-1]
+    expect(viewer.page.locator("#funnel li").last).to_contain_text(f"{100 * last['precision']:.1f} %{last['count']:,}")
 
 
 def test_the_legend_has_the_colours_of_the_points(viewer: Viewer) -> None:
@@ -90,7 +90,7 @@ def test_another_dimension_is_matched_and_shown(viewer: Viewer) -> None:
 def test_filters_are_applied_from_the_page(viewer: Viewer) -> None:
     everything = viewer.settle()["numbers"]["matches"]
     viewer.page.get_by_label("Mutual only").check()
-    expect(viewer.page.locator("#funnel")).to_contain_text("Mutual matches")
+    expect(viewer.page.locator("#funnel")).to_contain_text("Mutual match")
     assert viewer.settle()["numbers"]["matches"] < everything
 
 

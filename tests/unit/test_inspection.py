@@ -8,7 +8,17 @@ from cgf.evaluation.metrics import has_partner
 from cgf.geometry import transforms
 from cgf.geometry.lrf import estimate_lrf
 from cgf.matching import MatchTable
-from cgf.pipeline import REJECTIONS, PairResult, PairSettings, best_turn, far_modes, inspect_point, rejections, run_pair
+from cgf.pipeline import (
+    REJECTIONS,
+    PairResult,
+    PairSettings,
+    best_turn,
+    far_modes,
+    inspect_point,
+    rejections,
+    run_pair,
+    shell_edges,
+)
 from cgf.pipeline.inspection import Side
 from cgf.types import Correspondences, Features, PointCloud
 
@@ -53,6 +63,7 @@ def test_an_inspection_agrees_with_brute_force(result: PairResult, side: Side, r
     pose = TRUTH if side == "source" else transforms.invert(TRUTH)
     gaps = np.linalg.norm(other.points - transforms.apply(pose, own.points[row][None]), axis=1)
     np.testing.assert_allclose(found.errors, gaps[ranking[:6]])
+    assert found.partner_gap == pytest.approx(gaps.min())
     assert (found.partner is not None) == (gaps.min() <= result.settings.tau) == (row != 5)
     if found.partner is not None:
         assert found.partner.row == gaps.argmin()
@@ -93,8 +104,9 @@ def test_the_axes_of_the_histogram_are_azimuth_elevation_and_shell(result: PairR
     offsets, lengths = offsets[lengths <= settings.support_radius], lengths[lengths <= settings.support_radius]
     share = found.histogram.sum()
     assert share == pytest.approx(1, abs=1e-5)
-    # Shell 0 holds what is nearer than the minimum radius, ring 0 what lies around +z.
-    assert found.histogram[:, :, 0].sum() == pytest.approx(np.mean(lengths < settings.min_radius), abs=1e-5)
+    shells, _ = np.histogram(lengths, shell_edges(settings))
+    np.testing.assert_allclose(found.histogram.sum(axis=(0, 1)), shells / len(lengths), atol=1e-5)
+    # Ring 0 holds what lies around +z.
     upper = np.mean(offsets[:, 2] / lengths > np.cos(5 * np.pi / 11))
     assert found.histogram[:, :5].sum() == pytest.approx(upper, abs=1e-5)
     # The first sector begins at -x and turns towards -y.

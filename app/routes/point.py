@@ -1,0 +1,26 @@
+"""The picked point, and going through the matches one by one."""
+
+from fastapi import APIRouter
+
+from app.point import PointDetails
+from app.routes.problems import PROBLEM
+from app.schemas import Step
+from app.session import Session
+from app.snapshot import Snapshot
+
+
+def router(session: Session) -> APIRouter:
+    """Paths of one point."""
+    router = APIRouter(tags=["point"], responses=PROBLEM)
+
+    @router.get("/api/point")
+    def point() -> PointDetails:
+        """The point picked by `PATCH /api/settings`, its candidates in the other cloud, and their histograms."""
+        return session.point()
+
+    @router.post("/api/step")
+    def step(step: Step) -> Snapshot:
+        """Pick and isolate the next or the one before among the matches, in the order of `step_order`."""
+        return session.step(step.by)
+
+    return router
