@@ -96,6 +96,46 @@ def _decompressed(message: bytes) -> bytes:
     return zstandard.ZstdDecompressor().decompress(message[16 : 16 + size])
 
 
+def received_until(served: Served, socket: ClientConnection, marker: str) -> list[bytes]:
+    """All messages up to one that is sent last."""
+    served.scene.server.scene.add_frame(marker, visible=False)
+    served.scene.server.flush()
+    messages = []
+    while True:
+        message = socket.recv(LONG_S)
+        assert isinstance(message, bytes)
+        messages.append(message)
+        if marker.encode() in _decompressed(message):
+            return messages
+
+
+def test_positions_are_sent_once_and_a_change_sends_colours_alone(served: Served) -> None:
+    session = served.session
+    session.change({"line_count": 0})
+    assert session.wait_until_idle(LONG_S)
+    with open_scene(served) as socket:
+        first = [_decompressed(message) for message in received_until(served, socket, "/first")]
+        assert sum(message.count(b"PointCloudMessage") for message in first) == 2
+        picture = session.picture()
+        assert picture is not None
+        points = len(picture.source.points) + len(picture.target.points)
+        changes = ({"coloring": "features"}, {"coloring": "original"}, {"coloring": "error", "dim": 8},
+                   {"mutual": True}, {"support_radius": 0.9}, {"voxel_size": 0.15})  # fmt: skip
+        for number, change in enumerate(changes):
+            session.change(change)
+            assert session.wait_until_idle(LONG_S)
+            messages = received_until(served, socket, f"/marker{number}")
+            texts = b"".join(map(_decompressed, messages))
+            assert b"PointCloudMessage" not in texts, change
+            updates = texts.count(b"SceneNodeUpdateMessage")
+            assert updates > 0, change
+            # Three bytes a point and a little around them; positions have twelve.
+            assert sum(map(len, messages)) < 3 * points * updates / 2 + 1_000 * len(messages), change
+    defaults = ViewSettings(support_radius=0.8)
+    session.change({name: getattr(defaults, name) for name in defaults.__dataclass_fields__})
+    assert session.wait_until_idle(LONG_S)
+
+
 @pytest.mark.parametrize(
     "changes",
     [{"origin": "http://evil.example"}, {"origin": None}, {"host": "evil.example"}],
