@@ -18,7 +18,7 @@ from app.jobs import Job
 from app.preview import borrowing, choose_rows
 from app.runs import Run
 from app.settings import Reference, ViewSettings
-from app.shown import Shown, choose_shown
+from app.shown import MAX_SHOWN, Shown, choose_shown
 from cgf import pipeline
 from cgf.evaluation.matches import MatchErrors
 from cgf.evaluation.metrics import correspondence_errors, has_partner
@@ -166,10 +166,12 @@ class Analyst:
         *,
         given_estimate: Transform | None = None,
         disk: pipeline.DiskCache | None = None,
+        max_shown: int = MAX_SHOWN,
     ) -> None:
         self._load = load
         self._given_estimate = given_estimate
         self._disk = disk
+        self._max_shown = max_shown
         self._cache = StageCache()
         self._registrations = StageCache()
         self._last_registrations: dict[int, RegistrationResult] = {}
@@ -228,7 +230,7 @@ class Analyst:
 
         def show(side: str, cloud: PointCloud, prepared: PointCloud) -> Shown:
             key = (index, side, resolved.preparation_key)
-            return self._cache.get("show", key, lambda: choose_shown(cloud, prepared))
+            return self._cache.get("show", key, lambda: choose_shown(cloud, prepared, limit=self._max_shown))
 
         source, target = prepare("source", pair.source), prepare("target", pair.target)
         source_shown, target_shown = show("source", pair.source, source), show("target", pair.target, target)

@@ -66,7 +66,12 @@ def build_parser() -> argparse.ArgumentParser:
     cli.add_feature_options(parser)
     cli.add_matching_options(parser)
     cli.add_loading_options(parser)
-    parser.add_argument_group("cache").add_argument(
+    speed = parser.add_argument_group("speed")
+    speed.add_argument(
+        "--max-points", type=_count, default=1_000_000, metavar="N", help="points of a cloud to draw at most, spread "
+        "evenly (default: %(default)s; what is computed does not change)",
+    )  # fmt: skip
+    speed.add_argument(
         "--no-cache", action="store_true", help="neither read nor write what earlier runs computed (in the user's "
         "folder for caches, 1 GB at most)",
     )  # fmt: skip
@@ -90,6 +95,13 @@ def build_parser() -> argparse.ArgumentParser:
     server.add_argument("--no-browser", action="store_true", help="do not open the page, only print its URL")
     cli.add_output_options(parser)
     return parser
+
+
+def _count(text: str) -> int:
+    """A number of points, as argparse wants it checked."""
+    if not (text.isascii() and text.isdigit()) or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, got {text!a}")
+    return int(text)
 
 
 def view(options: argparse.Namespace) -> int:
@@ -145,7 +157,8 @@ def open_session(options: argparse.Namespace) -> "Session":
     pair, wanted = sources[settings.pair].load(), settings.pair_settings()
     pipeline.resolve(wanted, *pipeline.correct(wanted, pair.source, pair.target))
     disk = None if options.no_cache else pipeline.DiskCache()
-    return Session(sources, settings, given_estimate=_read_estimate(options), disk=disk)
+    estimate = _read_estimate(options)
+    return Session(sources, settings, given_estimate=estimate, disk=disk, max_shown=options.max_points)
 
 
 def open_pairs(options: argparse.Namespace) -> "list[PairSource]":

@@ -23,6 +23,7 @@ from app.picture import Picture, Placed, draw, place
 from app.plots import right_within
 from app.point import PointDetails, point_details
 from app.settings import MAX_SELECTED, Picked, Selected, ViewSettings
+from app.shown import MAX_SHOWN
 from app.snapshot import CloudInfo, Message, Snapshot, Status
 from app.state_text import write_state
 from app.workbench import Workbench
@@ -61,6 +62,7 @@ class Session:
         *,
         given_estimate: Transform | None = None,
         disk: pipeline.DiskCache | None = None,
+        max_shown: int = MAX_SHOWN,
     ) -> None:
         """Open `pairs` with the first settings; nothing runs before `start`.
 
@@ -69,9 +71,12 @@ class Session:
             settings: From the command line.
             given_estimate: A pose of the first pair to be diagnosed.
             disk: Where features and matches are kept from one run to the next; None keeps them nowhere.
+            max_shown: Most points of one cloud that are drawn.
         """
         self._pairs = tuple(pairs)
-        self._analyst = Analyst(lambda index: self._pairs[index].load(), given_estimate=given_estimate, disk=disk)
+        self._analyst = Analyst(
+            lambda index: self._pairs[index].load(), given_estimate=given_estimate, disk=disk, max_shown=max_shown
+        )
         self._lock = threading.RLock()
         self._listeners: list[Listener] = []
         self._settings = settings

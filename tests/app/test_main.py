@@ -217,3 +217,11 @@ def test_own_weights_are_used_until_another_descriptor_is_chosen(files: Path) ->
     assert session.settings.pair_settings().weights == weights
     assert session.settings.changed({"descriptor": "fpfh"}, pairs=1).pair_settings().weights is None
     session.close()
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "many"])
+def test_a_number_of_points_to_draw_must_be_one(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parser().parse_args(["--demo", f"--max-points={text}"])
+    assert ended.value.code == 2
+    assert f"--max-points: must be 1 or more, got '{text}'" in capsys.readouterr().err

@@ -7,12 +7,13 @@ import pytest
 
 from app.analysis import Analysis
 from app.picture import draw, place
+from app.session import Session
 from app.settings import ViewSettings
 from app.shown import choose_shown
 from cgf.geometry.sampling import voxel_downsample
 from cgf.pipeline import PairSettings, describe, prepare, resolve
 from cgf.types import PointCloud
-from tests.app.scenes import bumpy_cloud, hills
+from tests.app.scenes import bumpy_cloud, hills, source_of
 
 
 def test_every_loaded_point_is_shown_and_borrows_from_the_nearest_prepared_one() -> None:
@@ -57,3 +58,17 @@ def test_points_between_described_ones_have_their_colours() -> None:
         assert len(np.unique(colors_of_row, axis=0)) > len(prepared) / 2
     assert after.source.points is before.source.points
     assert not np.array_equal(after.source.colors, before.source.colors)
+
+
+def test_no_more_points_are_drawn_than_asked_for_and_the_page_knows() -> None:
+    pair = hills()
+    session = Session([source_of(pair)], ViewSettings(support_radius=0.8), max_shown=300)
+    session.start()
+    assert session.wait_until_idle(120.0)
+    snapshot, picture = session.snapshot(), session.picture()
+    session.close()
+    assert snapshot.source is not None
+    assert picture is not None
+    assert snapshot.source.points == len(pair.source)
+    assert 150 < snapshot.source.shown == len(picture.source.points) <= 300
+    assert snapshot.source.prepared == snapshot.source.features == len(pair.source)
