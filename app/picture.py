@@ -454,8 +454,9 @@ def lines(
     if analysis.matches is None or scores is None:
         return nothing
     coloring = shown_coloring(analysis, scores, settings, findings)
-    # A heat map shows one point only, and so does what is isolated.
-    if coloring == "distance" or (settings.isolate and findings.picked is not None):
+    # A heat map shows one point only, and so does what is isolated; between surfaces that are compared by their
+    # distance, lines would only hide them.
+    if coloring in ("distance", "residual") or (settings.isolate and findings.picked is not None):
         return nothing
     indices = analysis.matches.correspondences.indices
     by_stage = coloring == "stage"

@@ -128,7 +128,7 @@ class PoseTable:
         listed: list[tuple[str, str, Transform | None, Run | None]] = [("loaded", "As loaded", LOADED, None)]
         if analysis.truth is not None:
             listed.append(("ground_truth", "Ground truth", analysis.truth, None))
-        automatic = "Estimate, as given" if analysis.given_estimate is not None else "Estimate, RANSAC and ICP"
+        automatic = "Estimate given" if analysis.given_estimate is not None else "Estimate"
         if analysis.automatic_estimate is not None:
             listed.append(("automatic", automatic, analysis.automatic_estimate, None))
         listed += [(run.name, run.label, run.result.target_from_source, run) for run in analysis.runs]

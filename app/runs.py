@@ -35,7 +35,7 @@ class Run:
         words = [_METHODS[self.wanted.method]]
         if self.wanted.method == "icp":
             start = self.start or "loaded"
-            words = [f"ICP to {self.wanted.metric}s", f"from {_STARTS.get(start, start.replace('run-', ''))}"]
+            words = [f"ICP, {self.wanted.metric}s", f"from {_STARTS.get(start, start.replace('run-', ''))}"]
         elif self.wanted.refine:
             words.append("ICP")
         return f"{self.number}: {', '.join(words)}"

@@ -68,7 +68,8 @@ export class Refusal extends Error {}
 export async function api(path, { body, ...rest } = {}) {
   const sent = body === undefined ? {} : { headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
   const answer = await fetch(`api/${path}`, { ...sent, ...rest });
-  const content = answer.headers.get("Content-Type")?.startsWith("application/json") ? await answer.json() : null;
+  const isEmpty = answer.status === 204 || answer.headers.get("Content-Length") === "0";
+  const content = !isEmpty && answer.headers.get("Content-Type")?.startsWith("application/json") ? await answer.json() : null;
   if (!answer.ok) throw new Refusal(content?.message ?? `The server answered ${answer.status}.`);
   return content;
 }

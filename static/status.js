@@ -66,7 +66,7 @@ export function renderPair() {
   document.title = `${state.source.name} → ${state.target.name} · cgf-viewer`;
   $("model").textContent = state.model.reason;
   $("model").title = state.model.reason;
-  const apart = state.settings.layout === "side_by_side";
+  const apart = state.settings.layout === "side_by_side" && !state.columns.length;
   for (const side of ["source", "target"]) {
     $(`tag-${side}`).hidden = !apart;
     const { points, shown, prepared } = state[side];

@@ -91,8 +91,8 @@ def test_every_pose_is_measured_within_the_same_distance(session: Session) -> No
 
 def test_icp_starts_from_the_pose_that_is_named(session: Session) -> None:
     good, bad = (run(session, start, method="icp", iterations=1) for start in ("ground_truth", "loaded"))
-    assert good.label.endswith("ICP to planes, from the truth")
-    assert bad.label.endswith("ICP to planes, from as loaded")
+    assert good.label.endswith("ICP, planes, from the truth")
+    assert bad.label.endswith("ICP, planes, from as loaded")
     assert good.rotation_error_deg is not None
     assert good.rotation_error_deg < 1
     assert bad.rotation_error_deg is None or bad.rotation_error_deg > 1
