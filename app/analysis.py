@@ -20,6 +20,7 @@ from app.runs import Run
 from app.settings import Reference, ViewSettings
 from app.shown import MAX_SHOWN, Shown, choose_shown
 from cgf import pipeline
+from cgf.checks import InputError
 from cgf.evaluation.matches import MatchErrors
 from cgf.evaluation.metrics import correspondence_errors, has_partner
 from cgf.geometry import transforms
@@ -176,6 +177,7 @@ class Analyst:
         self._registrations = StageCache()
         self._last_registrations: dict[int, RegistrationResult] = {}
         self._points_per_s = USUAL_POINTS_PER_S
+        self._kernels_loaded = False
 
     def run(
         self,
@@ -206,6 +208,7 @@ class Analyst:
         known = self._is_described(analysis)
         # What is known needs no kernels, so that they are not even loaded.
         with contextlib.nullcontext() if known else told_of_compiling(lambda: _say_compiling(job)):
+            self._kernels_loaded |= not known
             if not known and show_preview is not None:
                 self._preview(analysis, settings, job, show_preview)
             analysis = self._described(analysis, job)
@@ -213,6 +216,16 @@ class Analyst:
             job.progress(0.85, "Matching features")
             analysis = self._matched(analysis, job)
         show(analysis)
+
+    def load_kernels(self, analysis: Analysis) -> None:
+        """Load what describing needs where everything was known already, so that the next change need not wait."""
+        if self._kernels_loaded:
+            return
+        self._kernels_loaded = True
+        some = np.arange(0, len(analysis.source), 500)
+        with contextlib.suppress(InputError):
+            few = pipeline.describe(analysis.source, analysis.resolved, indices=some)
+            pipeline.match_features(few, few, analysis.resolved)
 
     def _corrected(self, index: int, wanted: PairSettings) -> Pair:
         pair = self._cache.get("load", index, lambda: self._load(index))

@@ -346,6 +346,7 @@ class Session:
                     self._estimator.submit(lambda job: estimate(job, analysis, elapsed_s))
                 else:
                     self._finish(settings, elapsed_s)
+            self._analyst.load_kernels(analysis)
 
         def estimate(job: Job, analysis: Analysis, elapsed_s: float) -> None:
             registration = self._analyst.register(analysis, job)

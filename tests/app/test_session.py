@@ -5,8 +5,10 @@ import io
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from app.picture import Picture
@@ -381,7 +383,16 @@ def test_a_second_run_of_the_viewer_computes_nothing_again(
 ) -> None:
     disk = pipeline.DiskCache(tmp_path_factory.mktemp("cache"))
     snapshots = []
+    described: list[int] = []
+    describe = pipeline.describe
+
+    def noting(*arguments: Any, indices: npt.NDArray[np.int64], **named: Any) -> object:
+        described.append(len(indices))
+        return describe(*arguments, indices=indices, **named)
+
+    monkeypatch.setattr(pipeline, "describe", noting)
     for _ in range(2):
+        described.clear()
         session = Session([source_of(hills())], SETTINGS, disk=disk)
         snapshots.append(run(session))
         assert snapshots[-1].settled, snapshots[-1].messages
@@ -390,3 +401,6 @@ def test_a_second_run_of_the_viewer_computes_nothing_again(
         monkeypatch.setattr("cgf.pipeline.cache.match_features", None)
     assert snapshots[0].numbers == snapshots[1].numbers
     assert len(list(disk.folder.iterdir())) == 4
+    # But the kernels are loaded, for the next change.
+    assert len(described) == 1
+    assert described[0] < 10
