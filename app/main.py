@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     import uvicorn
     from starlette.types import ASGIApp
 
+    from app.loading import PairPaths
     from app.session import PairSource, Session
     from cgf.types import Transform
 
@@ -156,6 +157,7 @@ def open_session(options: argparse.Namespace) -> "Session":
         settings = settings.changed(read_state(options.state), pairs=len(sources))
     pair, wanted = sources[settings.pair].load(), settings.pair_settings()
     pipeline.resolve(wanted, *pipeline.correct(wanted, pair.source, pair.target))
+    sources[settings.pair] = sources[settings.pair].holding(pair)
     disk = None if options.no_cache else pipeline.DiskCache()
     estimate = _read_estimate(options)
     return Session(sources, settings, given_estimate=estimate, disk=disk, max_shown=options.max_points)
@@ -167,6 +169,7 @@ def open_pairs(options: argparse.Namespace) -> "list[PairSource]":
     Raises:
         InputError: The arguments name none of these, or a file cannot be used.
     """
+    from app.loading import pair_source
     from app.session import PairSource
 
     paths: list[Path] = options.paths
@@ -184,19 +187,15 @@ def open_pairs(options: argparse.Namespace) -> "list[PairSource]":
             f"cgf-viewer must be given two clouds, a folder of pairs, or --demo, got {len(paths)} "
             f"path{'' if len(paths) == 1 else 's'}; see cgf-viewer --help"
         )
-    return [_open_files(paths[0], paths[1], options)]
-
-
-def _open_files(source: Path, target: Path, options: argparse.Namespace) -> "PairSource":
-    from app.session import PairSource
-    from cgf import pipeline
-
     viewpoint = None if options.viewpoint is None else tuple(options.viewpoint)
-    pair = pipeline.load_pair(source, target, gt=options.gt, viewpoint=viewpoint, drop_invalid=options.drop_invalid)
-    command = [str(source), str(target)]
-    if options.gt is not None:
-        command += ["--gt", str(options.gt)]
-    return PairSource(f"{source.name} to {target.name}", lambda: pair, (*command, *_reading(options)))
+    return [pair_source(_paths(options), viewpoint=viewpoint, drop_invalid=options.drop_invalid)]
+
+
+def _paths(options: argparse.Namespace) -> "PairPaths":
+    from app.loading import PairPaths
+
+    source, target = options.paths
+    return PairPaths(source, target, options.gt)
 
 
 def _open_folder(folder: Path, options: argparse.Namespace) -> "list[PairSource]":
@@ -215,7 +214,12 @@ def _open_folder(folder: Path, options: argparse.Namespace) -> "list[PairSource]
     def source(index: int) -> PairSource:
         files = found[index]
         command = [str(files.source), str(files.target), "--gt", str(files.target.parent / log), *_reading(options)]
-        return PairSource(files.name, lambda: files.read(drop_invalid=options.drop_invalid), tuple(command))
+        return PairSource(
+            files.name,
+            lambda: files.read(drop_invalid=options.drop_invalid),
+            tuple(command),
+            files=(files.source, files.target),
+        )
 
     return [source(index) for index in range(len(found))]
 
@@ -273,12 +277,18 @@ def _serve(session: "Session", listening: socket.socket, options: argparse.Names
     with contextlib.ExitStack() as running:
         running.callback(session.close)
         try:
+            from app.loading import Loader, Recent, recent_file
             from app.routes import create_app
             from app.viewer.live import LiveScene
 
             scene = LiveScene(session)
             running.callback(scene.stop)
-            app = Guard(create_app(session, scene), token=token, hosts=[options.host, socket.gethostname()])
+            recent = Recent(recent_file())
+            if len(options.paths) == 2:
+                recent.add(_paths(options))
+            loader = Loader(session, recent)
+            running.callback(loader.close)
+            app = Guard(create_app(session, scene, loader), token=token, hosts=[options.host, socket.gethostname()])
             make_server(app, debug=options.debug).run(sockets=[listening])
         except KeyboardInterrupt:
             # How a viewer is meant to be stopped.
@@ -289,13 +299,21 @@ def _serve(session: "Session", listening: socket.socket, options: argparse.Names
     os._exit(0)
 
 
+def _fragment(options: argparse.Namespace) -> str:
+    """What of `--state` only the page knows to restore."""
+    from app.state_text import of_a_window
+
+    text = of_a_window(options.state or "")
+    return f"#{text}" if text else ""
+
+
 def _announce(listening: socket.socket, token: str, options: argparse.Namespace) -> None:
     """Print the URL, and open it where there is a screen to open it on."""
     from app.guard import LOOPBACK_NAMES
 
     port = listening.getsockname()[1]
     host = DEFAULT_HOST if options.host in ("0.0.0.0", "::", "localhost") else options.host
-    url = f"http://{f'[{host}]' if ':' in host else host}:{port}/{token}/"
+    url = f"http://{f'[{host}]' if ':' in host else host}:{port}/{token}/{_fragment(options)}"
     print(f"cgf-viewer: {url}  (Ctrl-C stops it)", flush=True)
     if options.host not in LOOPBACK_NAMES:
         cli.note(options, "Other machines that know this URL can use it, with this machine's name or address in it.")

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import shlex
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from importlib import metadata
@@ -16,6 +17,7 @@ from app.picture import CloudPicture, Picture
 from app.session import Session
 from app.settings import Coloring
 from app.snapshot import Snapshot, legend_of
+from app.state_text import write_state
 from app.static_files import static_folder
 from cgf.checks import InputError
 
@@ -42,11 +44,23 @@ def results_of(session: Session) -> dict[str, Any]:
     return {
         "program": f"cgf-viewer {_version()}",
         "written": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "view_command": _view_command(snapshot),
         "pair": snapshot.pairs[snapshot.settings.pair],
         "resolved": _plain(asdict(analysis.resolved)),
         "target_from_source": {name: None if pose is None else pose.tolist() for name, pose in poses.items()},
         **content,
     }
+
+
+def _view_command(snapshot: Snapshot) -> str:
+    """The command line that shows the same on another machine."""
+    # The command opens this pair alone.
+    state = write_state(replace(snapshot.settings, pair=0))
+    return (
+        f"{snapshot.open_command} --state {shlex.quote(state)}"
+        if snapshot.open_command and state
+        else snapshot.open_command
+    )
 
 
 def report_page(session: Session) -> str:

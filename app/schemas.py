@@ -175,6 +175,40 @@ class SharedState(BaseModel):
     text: Annotated[str, Field(max_length=4000)]
 
 
+class OpenRequest(BaseModel):
+    """Files of a pair, as paths on the viewer's machine."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    source: Annotated[str, Field(min_length=1, max_length=4096)]
+    target: Annotated[str, Field(min_length=1, max_length=4096)]
+    gt: Annotated[str, Field(max_length=4096)] | None = None
+    """Of the true pose."""
+    drop_invalid: bool = False
+    """Leave out points with NaN or inf instead of refusing them."""
+
+
+class Uploaded(BaseModel):
+    """Where a file was put that came from the page."""
+
+    path: str
+
+
+class SaveRequest(BaseModel):
+    """Whether a file that is there already may be replaced."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    overwrite: bool = False
+
+
+class PosePlace(BaseModel):
+    """Where the estimate goes beside the clouds."""
+
+    path: str
+    exists: bool
+
+
 def in_words(errors: Sequence[Any]) -> str:
     """The first of the errors that pydantic found, in one line."""
     first = errors[0]

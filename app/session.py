@@ -50,6 +50,13 @@ class PairSource:
     """Arguments that open it with `cgf match`; empty where it has no files."""
     view: tuple[str, ...] = ()
     """Arguments that open it with `cgf-viewer`, where they are others."""
+    files: tuple[Path, Path] | None = None
+    """Source and target, where they are the user's own files."""
+
+    def holding(self, pair: Pair) -> "PairSource":
+        """The same with the pair read already: it is handed over once, and read again where it is asked for later."""
+        waiting = [pair]
+        return replace(self, load=lambda: waiting.pop() if waiting else self.load())
 
 
 class Session:
@@ -245,6 +252,28 @@ class Session:
             if picked is None:
                 raise InputError("No match passes the filters; relax the ratio or switch off mutual.")
         return self.change({"picked": picked, "isolate": True})
+
+    def open(self, pair: PairSource, settings: Mapping[str, Any]) -> Snapshot:
+        """Offer another pair, read already, and show it.
+
+        Args:
+            pair: Becomes the last of the pairs.
+            settings: For it; the others stay.
+
+        Raises:
+            ValueError: The pair cannot be shown; nothing has changed then.
+        """
+        loaded = pair.load()
+        corrected = pipeline.correct(pipeline.PairSettings(), loaded.source, loaded.target)
+        pipeline.resolve(pipeline.PairSettings(), *corrected)
+        with self._lock:
+            self._pairs = (*self._pairs, pair.holding(loaded))
+            return self.change({**settings, "pair": len(self._pairs) - 1})
+
+    def files(self) -> tuple[Path, Path] | None:
+        """Source and target of the pair shown, where they are the user's own files."""
+        with self._lock:
+            return self._pairs[self._settings.pair].files
 
     def cancel(self) -> None:
         """Stop the running work; what is shown stays."""
@@ -464,7 +493,7 @@ class Session:
                 settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
                 reference=None, numbers=None, estimate=None, curve=None, funnel=(), picked=None, legend=None,
                 messages=tuple(messages), columns=(), command="",
-                shared=write_state(settings), view_command="",
+                shared=write_state(settings), open_command="",
             )  # fmt: skip
         scores, findings = self._scores(), self.findings()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
@@ -507,7 +536,7 @@ class Session:
             columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
             command=_command(self._pairs[analysis.index], settings),
             shared=write_state(settings),
-            view_command=_view_command(self._pairs[analysis.index], settings),
+            open_command=_open_command(self._pairs[analysis.index], settings),
         )
 
 
@@ -537,17 +566,13 @@ def _command(pair: PairSource, settings: ViewSettings) -> str:
     return shlex.join(["cgf", "match", *pair.command, *map(str, options), "-o", "matches.csv"])
 
 
-def _view_command(pair: PairSource, settings: ViewSettings) -> str:
-    """The `cgf-viewer` that shows the same on another machine."""
+def _open_command(pair: PairSource, settings: ViewSettings) -> str:
+    """The `cgf-viewer` that opens the pair shown, and no other, with settings at their defaults."""
     arguments = list(pair.view or pair.command)
     if not arguments:
         return ""
     weights = settings.pair_settings().weights
-    if weights is not None:
-        arguments += ["--weights", str(weights)]
-    # The arguments open this pair alone.
-    state = write_state(replace(settings, pair=0))
-    return shlex.join(["cgf-viewer", *arguments, *(["--state", state] if state else [])])
+    return shlex.join(["cgf-viewer", *arguments, *([] if weights is None else ["--weights", str(weights)])])
 
 
 _PAGE_WORDS = {

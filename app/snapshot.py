@@ -232,8 +232,8 @@ class Snapshot:
     """The command line that gives the same matches; empty where the pair has no files."""
     shared: str
     """The settings that differ from their defaults, as links and `--state` carry them."""
-    view_command: str
-    """The command line that shows the same; empty where the pair has no files."""
+    open_command: str
+    """The command line that opens the pair; with `shared` behind `--state`, it shows the same. Empty without files."""
 
 
 def unit_of(analysis: Analysis) -> Unit:

@@ -39,18 +39,26 @@ def read_state(text: str) -> dict[str, Any]:
     Raises:
         InputError: A setting is unknown or its value not allowed.
     """
-    words = dict(parse_qsl(text.rpartition("#")[2].strip(), keep_blank_values=True))
-    named = {name: _value(word) for name, word in words.items() if name not in OF_A_WINDOW}
+    named = {name: _value(word) for name, word in _words(text).items() if name not in OF_A_WINDOW}
     try:
         return SettingsPatch.model_validate(named).changes()
     except ValidationError as error:
         raise InputError(f"the state cannot be used: {in_words(error.errors())}") from error
 
 
+def of_a_window(text: str) -> str:
+    """The part of `text` that `read_state` leaves out."""
+    return urlencode({name: word for name, word in _words(text).items() if name in OF_A_WINDOW}, safe=",")
+
+
 def restored(named: Mapping[str, Any]) -> dict[str, Any]:
     """Every setting of the page: those of `named`, and the others at their default."""
     usual = ViewSettings()
     return {name: named.get(name, getattr(usual, name)) for name in SettingsPatch.model_fields}
+
+
+def _words(text: str) -> dict[str, str]:
+    return dict(parse_qsl(text.rpartition("#")[2].strip(), keep_blank_values=True))
 
 
 def _word(value: Any) -> str:

@@ -4,6 +4,7 @@
 import { command, listenToKeys } from "./commands.js";
 import { listenToControls, renderControls } from "./controls.js";
 import { listenToLinks } from "./links.js";
+import { listenToLoading } from "./load.js";
 import { listenToDialogs } from "./dialogs.js";
 import { renderLegend } from "./legend.js";
 import { $ } from "./lib/dom.js";
@@ -64,6 +65,7 @@ listenToControls(page);
 listenToDialogs(page);
 listenToKeys($("scene"));
 listenToLinks(page);
+listenToLoading(page);
 new ResizeObserver(() => server.state()?.legend && renderLegend(server.state())).observe($("legend"));
 server.listen(render);
 server.connect();

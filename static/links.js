@@ -14,7 +14,10 @@ export function viewText(state) {
 /** Take over what a link, or the settings from one, says; throws where it cannot be used. */
 export async function restore(page, text) {
   const named = new URLSearchParams(text.slice(text.indexOf("#") + 1));
-  await page.api("state", { method: "PUT", body: { text } });
+  // One that carries a camera alone leaves the settings.
+  if ([...named.keys()].some((name) => !["tab", "camera"].includes(name))) {
+    await page.api("state", { method: "PUT", body: { text } });
+  }
   if (named.get("tab")) page.open(named.get("tab"));
   if (named.get("camera")) page.whenSettled(() => restoreCamera(named.get("camera")));
 }

@@ -63,10 +63,10 @@ export class Refusal extends Error {}
 /**
  * Ask `path` under `api/` and give the answer's JSON, or null where it has none.
  *
- * `body` is sent as JSON. Throws a `Refusal` with a line for the person, or what `fetch` throws where there is no answer.
+ * `body` is sent as JSON, `content` as it is. Throws a `Refusal` with a line for the person, or what `fetch` throws where there is no answer.
  */
-export async function api(path, { body, ...rest } = {}) {
-  const sent = body === undefined ? {} : { headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+export async function api(path, { body, content: raw, ...rest } = {}) {
+  const sent = body === undefined ? { body: raw } : { headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
   const answer = await fetch(`api/${path}`, { ...sent, ...rest });
   const isEmpty = answer.status === 204 || answer.headers.get("Content-Length") === "0";
   const content = !isEmpty && answer.headers.get("Content-Type")?.startsWith("application/json") ? await answer.json() : null;

@@ -9,6 +9,7 @@ import { restore, viewText } from "../links.js";
 const command = element("code", { id: "share-command" });
 const field = element("input", { type: "text", id: "share-restore", placeholder: "Paste a link or settings", autocomplete: "off", spellcheck: false });
 const problem = element("p", { className: "problem", role: "alert" });
+const saved = element("p", { className: "note", id: "share-saved", role: "status" });
 let page = null;
 
 export function mount(root, given) {
@@ -33,7 +34,7 @@ export function mount(root, given) {
         button("Copy settings", "Settings, tab and camera, without this viewer's address", (made) => copyText(made, viewText(page.state()))),
         button("Copy link", "For this viewer, with the secret that opens it: give it only to whom you would let in",
           (made) => copyText(made, withSecret())),
-        button("Copy command", "Shows the same on another machine", (made) => copyText(made, page.state().view_command))),
+        button("Copy command", "Shows the same on another machine", (made) => copyText(made, viewCommand(page.state())))),
       element("p", { className: "note", textContent: "The link opens this view in this viewer and carries its secret. On another machine:" }),
       command,
       restoring, problem),
@@ -45,6 +46,11 @@ export function mount(root, given) {
         link("Matches, CSV", "One row a match", "matches.csv"),
         link("Matches, NPZ", "The same as NumPy arrays", "matches.npz")),
       element("p", { className: "note", textContent: "The report needs no server and no network. In a script: the command with --report report.html." })),
+    part("Estimated pose",
+      element("div", { className: "buttons" },
+        link("Download", "Four rows of four numbers, source to target", "estimate.txt"),
+        button("Save beside the source", "As a text file in the source's folder", saveBeside)),
+      saved),
   );
   page.command("copy-view", { label: "Copy the settings of this view", run: () => { page.open("share"); root.querySelector("button").click(); } });
   page.command("save-picture", { label: "Save a picture of the scene", run: savePicture });
@@ -52,7 +58,35 @@ export function mount(root, given) {
 }
 
 export function render(state) {
-  command.textContent = state.view_command;
+  command.textContent = viewCommand(state);
+}
+
+/** The command that shows this view on another machine; it opens this pair alone. */
+function viewCommand(state) {
+  const text = new URLSearchParams(viewText(state));
+  text.delete("pair");
+  const written = text.toString().replaceAll("%2C", ",");
+  return state.open_command && written ? `${state.open_command} --state '${written}'` : state.open_command;
+}
+
+async function saveBeside() {
+  saved.replaceChildren();
+  try {
+    const { path, exists } = await page.api("estimate/place");
+    const confirm = element("button", { type: "button", textContent: exists ? "Replace it" : "Save" });
+    confirm.onclick = async () => {
+      try {
+        await page.api("estimate/save", { method: "POST", body: { overwrite: exists } });
+        saved.textContent = `Saved as ${path}`;
+      } catch (error) {
+        saved.textContent = error.message;
+      }
+    };
+    saved.append(`${exists ? "There is already a file" : "It will be written to"} ${path} `, confirm);
+    confirm.focus();
+  } catch (error) {
+    saved.textContent = error.message;
+  }
 }
 
 async function show() {

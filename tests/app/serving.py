@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import uvicorn
 
 from app.guard import Guard, new_token
+from app.loading import Loader, Recent
 from app.main import make_server
 from app.ports import listen_socket
 from app.routes import create_app
@@ -45,7 +46,8 @@ def serve(session: Session) -> Iterator[Served]:
     listening, _ = listen_socket("127.0.0.1", 0)
     token = new_token()
     scene = LiveScene(session)
-    app = Guard(create_app(session, scene), token=token, hosts=["127.0.0.1"])
+    loader = Loader(session, Recent(None))
+    app = Guard(create_app(session, scene, loader), token=token, hosts=["127.0.0.1"])
     server: uvicorn.Server = make_server(app, debug=False)
     thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
     thread.start()
@@ -57,4 +59,5 @@ def serve(session: Session) -> Iterator[Served]:
         thread.join(LONG_S)
         session.close()
         scene.stop()
+        loader.close()
         listening.close()

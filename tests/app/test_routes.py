@@ -1,5 +1,6 @@
 """The API without a server: what is typed, what is refused, what is served."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 from fastapi import FastAPI, WebSocket
 
+from app.loading import Loader, Recent
 from app.routes import create_app
 from app.session import Session
 from app.settings import ViewSettings
@@ -48,7 +50,7 @@ def scene() -> FakeScene:
 
 @pytest.fixture(scope="module")
 def app(session: Session, scene: FakeScene) -> FastAPI:
-    return create_app(session, scene)
+    return create_app(session, scene, Loader(session, Recent(None)))
 
 
 def patch(app: FastAPI, body: str) -> Answer:
@@ -111,7 +113,8 @@ def test_matches_are_not_written_in_other_formats(app: FastAPI, suffix: str) -> 
 
 def test_before_there_are_matches_none_are_exported(scene: FakeScene) -> None:
     session = Session([source_of(hills())], ViewSettings())
-    answer = request(create_app(session, scene), "GET", "/api/matches.csv")
+    app = create_app(session, scene, Loader(session, Recent(None)))
+    answer = request(app, "GET", "/api/matches.csv")
     session.close()
     assert answer.status == 422
     assert answer.json() == {"message": "There are no matches yet; wait until they are computed."}
@@ -209,3 +212,32 @@ def test_a_point_that_cannot_be_picked_is_refused(app: FastAPI, body: str, messa
     answer = patch(app, body)
     assert answer.status == 422
     assert message in answer.json()["message"]
+
+
+def test_files_are_sent_and_opened_and_a_bad_one_is_a_line_of_text(app: FastAPI) -> None:
+    answer = request(app, "PUT", "/api/uploads/..%2Fbad%3Cb%3E.ply", body=b"no cloud")
+    assert answer.status == 404
+    answer = request(app, "PUT", "/api/uploads/bad%3Cb%3E.ply", body=b"no cloud")
+    path = answer.json()["path"]
+    assert Path(path).name == "bad<b>.ply"
+    answer = request(app, "POST", "/api/open", headers=JSON, body=json.dumps({"source": path, "target": path}).encode())
+    assert answer.status == 422
+    assert answer.headers["content-type"] == "application/json"
+    assert "bad<b>.ply" in answer.json()["message"]
+    assert len(request(app, "GET", "/api/state").json()["pairs"]) == 1
+    Path(path).unlink()
+    assert request(app, "PUT", "/api/uploads/page.html", body=b"<script>").status == 422
+    assert request(app, "GET", "/api/recent").json() == []
+
+
+def test_results_report_and_pose_are_downloads(app: FastAPI) -> None:
+    for path, kind in [
+        ("results.json", "application/json"),
+        ("report.html", "application/octet-stream"),
+        ("estimate.txt", "text/plain; charset=utf-8"),
+    ]:
+        answer = request(app, "GET", f"/api/{path}")
+        assert answer.status == 200
+        assert answer.headers["content-type"] == kind
+        assert answer.headers["content-disposition"].startswith("attachment")
+    assert request(app, "GET", "/api/estimate/place").status == 422
