@@ -5,14 +5,12 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import threadpool_limits
 
 from app.jobs import Job
 from app.preview import borrowing, choose_rows
@@ -37,7 +35,7 @@ _KEPT = {"load": 3, "correct": 3, "prepare": 6, "show": 6, "describe": 16, "matc
 
 PREVIEWED = ("cgf", "pca")
 """Descriptors that describe a few points in a fraction of the time of all."""
-PREVIEW_S = (0.08, 0.6)
+PREVIEW_S = (0.06, 0.4)
 """Time to describe the points of the first preview, and of the next one where it is worth while."""
 LARGEST_PREVIEW = 0.4
 """Share of the points beyond which all of them come nearly as soon."""
@@ -327,13 +325,8 @@ class Analyst:
         def match(first: Features, second: Features) -> MatchTable:
             return pipeline.match_cached(first, second, resolved, self._disk, cancelled=job.is_cancelled)
 
-        def match_both() -> tuple[MatchTable, MatchTable]:
-            # Two threads that multiply small matrices are faster than one whose products each start threads.
-            with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(2) as pool:
-                forward, back = pool.submit(match, source, target), pool.submit(match, target, source)
-                return forward.result(), back.result()
-
-        both = self._cache.get("match", pipeline.match_key(source, target), match_both)
+        key = pipeline.match_key(source, target)
+        both = self._cache.get("match", key, lambda: (match(source, target), match(target, source)))
         # Found again by the settings alone, for those who do not want to describe first.
         matches, back = self._cache.get("matched", (analysis.index, resolved.match_key), lambda: both)
         return replace(analysis, matches=matches, back_matches=back)

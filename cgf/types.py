@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -45,7 +46,7 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.points)
 
-    @property
+    @cached_property
     def diameter(self) -> float:
         """Diagonal of the axis-aligned bounding box, in cloud units."""
         return float(np.linalg.norm(np.ptp(self.points, axis=0))) if len(self.points) else 0.0
