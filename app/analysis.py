@@ -1,13 +1,11 @@
 """The stages of one pair, each kept until a setting that it depends on changes."""
 
 import contextlib
-import threading
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +15,7 @@ from app.preview import borrowing, choose_rows
 from app.runs import Run
 from app.settings import Reference, ViewSettings
 from app.shown import MAX_SHOWN, Shown, choose_shown
+from app.stage_cache import StageCache
 from cgf import pipeline
 from cgf.checks import InputError
 from cgf.evaluation.matches import MatchErrors
@@ -27,11 +26,7 @@ from cgf.matching import MatchTable, filter_rows
 from cgf.pipeline import PairSettings, ResolvedSettings
 from cgf.types import Cancelled, Features, Pair, PointCloud, RegistrationResult, Transform
 
-Value = TypeVar("Value")
 Mask = npt.NDArray[np.bool_]
-
-_KEPT = {"load": 3, "correct": 3, "prepare": 6, "show": 6, "describe": 16, "match": 32, "matched": 32, "register": 64}
-"""How many results of each stage are kept; features are the largest, 33 MB for 65,000 points in 128 dimensions."""
 
 PREVIEWED = ("cgf", "pca")
 """Descriptors that describe a few points in a fraction of the time of all."""
@@ -42,39 +37,6 @@ LARGEST_PREVIEW = 0.4
 FEWEST_PREVIEWED = 64
 USUAL_POINTS_PER_S = 4_000.0
 """Until the first description is timed."""
-
-
-class StageCache:
-    """Results of stages by what they depend on; the longest unused one goes first. For any number of threads."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._results: dict[str, OrderedDict[Hashable, Any]] = {stage: OrderedDict() for stage in _KEPT}
-
-    def has(self, stage: str, key: Hashable) -> bool:
-        """Whether `get` would find something."""
-        return key in self._results[stage]
-
-    def get(self, stage: str, key: Hashable, compute: Callable[[], Value]) -> Value:
-        """The result kept under `key`, or else a new one; a failed or cancelled computation leaves nothing behind."""
-        with self._lock:
-            results = self._results[stage]
-            if key in results:
-                results.move_to_end(key)
-                kept: Value = results[key]
-                return kept
-        # Two threads that want the same at the same time both compute it, which is seldom and harms nothing.
-        value = compute()
-        with self._lock:
-            results[key] = value
-            if len(results) > _KEPT[stage]:
-                results.popitem(last=False)
-        return value
-
-    def peek(self, stage: str, key: Hashable) -> Any:
-        """The result kept under `key`, or None."""
-        with self._lock:
-            return self._results[stage].get(key)
 
 
 @dataclass(frozen=True, eq=False)
