@@ -160,7 +160,7 @@ class Analyst:
         """
         job.progress(0.0, "Loading the clouds")
         wanted = settings.pair_settings()
-        pair = self._corrected(settings.pair, wanted)
+        pair = self.corrected(settings.pair, wanted)
         resolved = pipeline.resolve(wanted, pair.source, pair.target)
         job.progress(0.03, "Preparing the clouds")
         analysis = self._prepared(settings.pair, pair, resolved)
@@ -187,7 +187,8 @@ class Analyst:
             few = pipeline.describe(analysis.source, analysis.resolved, indices=some)
             pipeline.match_features(few, few, analysis.resolved)
 
-    def _corrected(self, index: int, wanted: PairSettings) -> Pair:
+    def corrected(self, index: int, wanted: PairSettings) -> Pair:
+        """The pair as loaded, with the scale and the normals that are wanted."""
         pair = self._cache.get("load", index, lambda: self._load(index))
 
         def correct() -> Pair:

@@ -98,6 +98,7 @@ class SettingsPatch(BaseModel):
     pose: Pose | None = None
     reference: Reference | None = None
     coloring: Coloring = "error"
+    highlight: Annotated[str, Field(pattern=r"^[a-z_]{1,20}$")] | None = None
     pose_from: Annotated[str, Field(max_length=20)] | None = None
     pose_to: Annotated[str, Field(max_length=20)] | None = None
     pose_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 1.0

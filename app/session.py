@@ -15,6 +15,7 @@ import numpy as np
 from app import snapshot as snapshots
 from app.analysis import Analysis, Analyst, Scores, kept_rows, score
 from app.columns import draw_columns
+from app.diagnosing import Diagnosing
 from app.explorer import NO_FINDINGS, Explorer, Findings, check_rows, stepped
 from app.funnel import funnel_of, picked_of
 from app.jobs import Job, Worker
@@ -103,6 +104,7 @@ class Session:
         self._worker = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
         self._estimator = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
         self.workbench = Workbench(self, self._analyst)
+        self.diagnosing = Diagnosing(self, self._analyst, self.workbench)
 
     def start(self) -> None:
         """Begin with the first pair."""
@@ -304,6 +306,7 @@ class Session:
         """Draw and tell everything anew, after a task has found something."""
         with self._lock:
             self._redraw()
+            self._diagnose()
         self._notify()
 
     def told(self) -> None:
@@ -360,6 +363,7 @@ class Session:
     def _submit(self) -> None:
         settings, started = self._settings, time.perf_counter()
         self._estimator.cancel()
+        self.diagnosing.stop()
 
         def work(job: Job) -> None:
             self._analyst.run(
@@ -394,6 +398,12 @@ class Session:
         self._work_done = settings.work_key
         self._status = Status("ready", "Ready", 1.0, elapsed_s)
         self._touch()
+        self._diagnose()
+
+    def _diagnose(self) -> None:
+        """Have what is shown diagnosed, if it belongs to the settings; called with the lock held."""
+        if self._analysis is not None and self._work_done == self._settings.work_key:
+            self.diagnosing.update(self._analysis, self._settings)
 
     def _show(self, analysis: Analysis, job: Job) -> None:
         with self._lock:
@@ -441,6 +451,8 @@ class Session:
                 same = self._analysis is not None and self._analysis.source is analysis.source
                 findings = Findings(picked=findings.picked if same else None)
             self._picture = draw(analysis, scores, self._settings, placed[1], findings)
+            if self._settings.highlight and self._preview is None:
+                self._picture = self.diagnosing.highlight(self._picture, analysis, self._settings)
             if self._settings.columns:
                 columns = self.workbench.columns(analysis, self._settings)
                 self._picture = draw_columns(self._picture, columns, self._settings, placed[1])
@@ -481,6 +493,8 @@ class Session:
             self._status = Status("failed", "Failed", 0.0)
             self._error = _text_of(error)
             self._drop_preview()
+            if isinstance(error, ValueError):
+                self.diagnosing.explain(self._settings, error)
         self._notify()
 
     def _build_snapshot(self) -> Snapshot:
@@ -492,7 +506,7 @@ class Session:
                 revision=self._revision, status=self._status, settled=False, previewed=None, pairs=names,
                 settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
                 reference=None, numbers=None, estimate=None, curve=None, funnel=(), picked=None, legend=None,
-                messages=tuple(messages), columns=(), command="",
+                messages=tuple(messages), diagnosis=self.diagnosing.info(), columns=(), command="",
                 shared=write_state(settings), open_command="",
             )  # fmt: skip
         scores, findings = self._scores(), self.findings()
@@ -531,8 +545,9 @@ class Session:
             curve=curve,
             funnel=funnel_of(analysis, scores, settings, findings),
             picked=picked_of(analysis, scores, settings, findings),
-            legend=snapshots.legend_of(analysis, scores, settings, findings),
+            legend=self.diagnosing.legend(snapshots.legend_of(analysis, scores, settings, findings), settings),
             messages=tuple(messages),
+            diagnosis=self.diagnosing.info(),
             columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
             command=_command(self._pairs[analysis.index], settings),
             shared=write_state(settings),

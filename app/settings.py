@@ -126,6 +126,8 @@ class ViewSettings:
     """Error up to which a match counts as right, in cloud units."""
     bar: Bar | None = None
     """Lines and colours are those of the matches in this bar only."""
+    highlight: str | None = None
+    """Kind of the finding whose points are highlighted in place of the colours above."""
     columns: tuple[Column, ...] = ()
     """What is compared; empty shows the pair itself."""
     compare_pair: bool = False
@@ -194,7 +196,7 @@ class ViewSettings:
         if new.pair != self.pair:
             # Lengths belong to one pair's units and extent.
             lengths: dict[str, Any] = {name: changes.get(name) for name in _LENGTHS}
-            lengths |= {name: changes.get(name) for name in ("bar", "pose_from", "pose_to")}
+            lengths |= {name: changes.get(name) for name in ("highlight", "bar", "pose_from", "pose_to")}
             new = replace(
                 new,
                 **lengths,

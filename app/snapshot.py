@@ -197,6 +197,18 @@ class Message:
 
 
 @dataclass(frozen=True)
+class DiagnosisInfo:
+    """A diagnosis in short."""
+
+    number: int
+    """Grows with every diagnosis."""
+    outcome: str
+    verdict: str
+    problems: int
+    cautions: int
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """The whole state of the page."""
 
@@ -226,6 +238,8 @@ class Snapshot:
     picked: PickedInfo | None
     legend: Legend | None
     messages: tuple[Message, ...]
+    diagnosis: DiagnosisInfo | None
+    """Whether the pair registers and why not; None until that is found out."""
     columns: tuple[ColumnInfo, ...]
     """What is compared, one beside the other; empty where it is the pair itself that is shown."""
     command: str
@@ -333,35 +347,35 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings,
         scale = residual_scale(analysis, settings)
         ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale, palette=settings.palette)
         title = "Distance to the nearest point of the other cloud, as drawn"
-        return Legend(coloring, title, tuple(_hex(color) for color in ramp.tolist()), scale, ())
+        return Legend(coloring, title, tuple(hexed(color) for color in ramp.tolist()), scale, ())
     judged = scores is not None and scores.reference is not None
     swatches: list[Swatch] = []
     if coloring == "error":
         points = "Error of each point's match"
         swatches += [
-            Swatch(_hex(NO_PARTNER), "no true partner"),
-            Swatch(_hex(NO_MATCH), "no match" if settings.bar is None else "other match"),
+            Swatch(hexed(NO_PARTNER), "no true partner"),
+            Swatch(hexed(NO_MATCH), "no match" if settings.bar is None else "other match"),
         ]
     elif coloring == "features":
         points = "Points: like features, like colours"
         if len(analysis.source_features or ()) < len(analysis.source):
-            swatches.append(Swatch(_hex(NO_MATCH), "no feature"))
+            swatches.append(Swatch(hexed(NO_MATCH), "no feature"))
     else:
         points = "Points: own colours"
         sides = (("source", analysis.source_shown, SOURCE_TINT), ("target", analysis.target_shown, TARGET_TINT))
         for side, shown, tint in sides:
             if shown.cloud.colors is None or not are_colors_usable(shown.cloud.colors):
                 points = "Points: shaded"
-                swatches.append(Swatch(_hex(_facing(tint)), side))
+                swatches.append(Swatch(hexed(_facing(tint)), side))
     if scores is None:
         return Legend(coloring, points, (), None, tuple(swatches))
     if not judged:
-        swatches.append(Swatch(_hex(UNJUDGED), "match, no pose to judge it"))
+        swatches.append(Swatch(hexed(UNJUDGED), "match, no pose to judge it"))
         return Legend(coloring, points, (), None, tuple(swatches))
     title = points if coloring == "error" else f"{points} · Lines: error"
     scale = error_scale(analysis, settings)
     ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale, palette=settings.palette)
-    return Legend(coloring, title, tuple(_hex(color) for color in ramp.tolist()), scale, tuple(swatches))
+    return Legend(coloring, title, tuple(hexed(color) for color in ramp.tolist()), scale, tuple(swatches))
 
 
 def _distance_legend(findings: Findings) -> Legend:
@@ -376,9 +390,13 @@ def _distance_legend(findings: Findings) -> Legend:
     return Legend(
         "distance",
         "Feature distance to the picked point",
-        tuple(_hex(color) for color in ramp.tolist()),
+        tuple(hexed(color) for color in ramp.tolist()),
         None,
-        (Swatch(_hex(PICKED), "picked"), Swatch(_hex(PARTNER), "true partner"), Swatch(_hex(NO_MATCH), "no feature")),
+        (
+            Swatch(hexed(PICKED), "picked"),
+            Swatch(hexed(PARTNER), "true partner"),
+            Swatch(hexed(NO_MATCH), "no feature"),
+        ),
         tuple(ticks),
     )
 
@@ -387,7 +405,7 @@ def _stage_legend(findings: Findings) -> Legend:
     assert findings.stages is not None
     present = set(np.unique(np.concatenate([findings.stages.source, findings.stages.target])).tolist())
     swatches = [
-        Swatch(_hex(STAGE_COLORS[name]), stage_text(name, judged=findings.stages.judged))
+        Swatch(hexed(STAGE_COLORS[name]), stage_text(name, judged=findings.stages.judged))
         for code, name in enumerate(REJECTIONS)
         if code in present
     ]
@@ -431,7 +449,8 @@ def _facing(tint: tuple[int, int, int]) -> list[int]:
     return color
 
 
-def _hex(color: tuple[int, int, int] | list[int]) -> str:
+def hexed(color: tuple[int, int, int] | list[int]) -> str:
+    """A colour as pages write it."""
     return "#{:02x}{:02x}{:02x}".format(*color)
 
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 from app.jobs import Job, Work, Worker
 
-TaskKind = Literal["register", "dim", "radius", "compare"]
+TaskKind = Literal["diagnose", "register", "dim", "radius", "compare"]
 
 PROGRESS_INTERVAL_S = 0.25
 """Between two notices of one task's progress."""

@@ -54,9 +54,10 @@ function render({ onlyStatus }) {
   renderNotices();
   if (!state) return;
   renderPair();
-  if (!state.controls) return;
-  renderControls(state);
-  renderLegend(state);
+  if (state.controls) {
+    renderControls(state);
+    renderLegend(state);
+  }
   tabs.render();
   if (state.settled) for (const run of waiting.splice(0)) run();
 }

@@ -19,7 +19,7 @@ export function remember(name, value) {
  * Fill the dock: `panels` are objects with `name`, `title` and `module`.
  *
  * A module has `mount(root, page)`, called once, and `render(state)`, called at every state while its tab is shown;
- * it may have `observe(state)`, called at every state.
+ * it may have `observe(state)`, called at every state. Where it exports `needsNoClouds`, these come before there are clouds.
  */
 export function makeTabs(panels, page) {
   const entries = panels.map(({ name, title, module }, index) => {
@@ -51,7 +51,7 @@ export function makeTabs(panels, page) {
 
   function render() {
     const state = page.state();
-    if (state?.controls) shown.module.render(state);
+    if (isReady(state, shown.module)) shown.module.render(state);
   }
 
   $("tabs").addEventListener("keydown", (event) => {
@@ -69,12 +69,14 @@ export function makeTabs(panels, page) {
     open,
     render() {
       const state = page.state();
-      if (!state?.controls) return;
-      for (const { module } of entries) module.observe?.(state);
+      for (const { module } of entries) if (isReady(state, module)) module.observe?.(state);
       render();
     },
   };
 }
+
+/** Panels are told of states with clouds, unless they say that they need none. */
+const isReady = (state, module) => Boolean(state && (state.controls || module.needsNoClouds));
 
 /** The edge above the dock is dragged, moved by arrow keys, or doubled by the button. */
 function makeHeight(page) {

@@ -7,7 +7,7 @@ from fastapi import FastAPI
 from fastapi.staticfiles import StaticFiles
 
 from app.loading import Loader
-from app.routes import loading, pages, point, results, scene, state, workbench
+from app.routes import diagnosis, loading, pages, point, results, scene, state, workbench
 from app.routes.problems import add_problems
 from app.session import Session
 from app.static_files import static_folder
@@ -27,6 +27,7 @@ def create_app(session: Session, shown: scene.Scene, loader: Loader) -> FastAPI:
     app.include_router(scene.router(shown))
     app.include_router(state.router(session))
     app.include_router(results.router(session))
+    app.include_router(diagnosis.router(session))
     app.include_router(workbench.router(session))
     app.include_router(point.router(session))
     app.include_router(loading.router(loader))

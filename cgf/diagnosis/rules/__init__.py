@@ -7,10 +7,13 @@ and failing ones, and surfaces made for the purpose. A finding whose evidence is
 from collections.abc import Callable
 
 import numpy as np
+from jaxtyping import Bool, Int64
 
 from cgf.diagnosis.findings import Finding, Place
 from cgf.diagnosis.measures import Measures
 from cgf.diagnosis.rules import clouds, matches
+from cgf.geometry import neighbors
+from cgf.types import PointCloud
 
 Rule = Callable[[Measures], Finding | None]
 
@@ -68,15 +71,24 @@ def places(measured: Measures, findings: list[Finding]) -> dict[str, Place]:
     known = measured.truth or measured.best
     found = {}
     for finding in findings:
-        if finding.kind == "normals" and finding.severity != "fine":
+        if finding.kind == "normals" and "normals" in finding.changes:
             found["normals"] = Place(
-                *(surface.sampled[surface.is_opposed] for surface in (measured.source, measured.target))
+                _around(case.source, measured.source.sampled, measured.source.is_opposed),
+                _around(case.target, measured.target.sampled, measured.target.is_opposed),
             )
         elif finding.kind == "overlap" and known is not None:
             found["overlap"] = Place(np.flatnonzero(known.overlaps), none)
         elif finding.kind == "features":
-            found["features"] = Place(likeness.rows[likeness.is_distinctive], none)
+            found["features"] = Place(_around(case.source, likeness.rows, likeness.is_distinctive), none)
         elif finding.kind in ("agreement", "repetition", "estimator") and measured.poses:
             rows = measured.asked[measured.poses[0].rows]
             found[finding.kind] = Place(*case.table.correspondences.indices[rows].T)
     return {kind: place for kind, place in found.items() if len(place.source) or len(place.target)}
+
+
+def _around(
+    cloud: PointCloud, sampled: Int64[np.ndarray, "K"], chosen: Bool[np.ndarray, "K"]
+) -> Int64[np.ndarray, "R"]:
+    """Rows of the points whose nearest sampled point is a chosen one."""
+    nearest, _ = neighbors.nearest(cloud.points[sampled], cloud.points)
+    return np.flatnonzero(chosen[nearest])
