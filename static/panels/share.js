@@ -45,7 +45,7 @@ export function mount(root, given) {
         link("Results", "Settings, figures and poses as JSON", "results.json"),
         link("Matches, CSV", "One row a match", "matches.csv"),
         link("Matches, NPZ", "The same as NumPy arrays", "matches.npz")),
-      element("p", { className: "note", textContent: "The report needs no server and no network. In a script: the command with --report report.html." })),
+      element("p", { className: "note", textContent: "The report opens without server and network. In a script: --report report.html." })),
     part("Estimated pose",
       element("div", { className: "buttons" },
         link("Download", "Four rows of four numbers, source to target", "estimate.txt"),
@@ -65,6 +65,7 @@ export function render(state) {
 function viewCommand(state) {
   const text = new URLSearchParams(viewText(state));
   text.delete("pair");
+  if (text.get("tab") === "share") text.delete("tab");
   const written = text.toString().replaceAll("%2C", ",");
   return state.open_command && written ? `${state.open_command} --state '${written}'` : state.open_command;
 }

@@ -25,6 +25,8 @@ class Viewer:
     served: Served
     page: Page
     complaints: list[str] = field(default_factory=list)
+    asked: list[str] = field(default_factory=list)
+    """Addresses that the page and its scene have asked for."""
 
     @property
     def frame(self) -> Frame:
@@ -116,6 +118,8 @@ def open_page(served: Served, browser: Browser, width: int, height: int) -> View
             viewer.complaints.append(message.text)
 
     page.on("console", heard)
+    page.on("request", lambda request: viewer.asked.append(request.url))
+    page.on("websocket", lambda socket: viewer.asked.append(socket.url))
     page.on("pageerror", lambda error: viewer.complaints.append(str(error)))
     page.goto(served.url)
     expect(page.locator("#pair-names .arrow")).to_be_visible(timeout=LONG_S * 1000)

@@ -4,7 +4,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
-from tests.browser.driving import Viewer
+from tests.browser.driving import LAYOUT, USUAL_SIZE, Viewer
 
 pytestmark = pytest.mark.browser
 
@@ -92,6 +92,27 @@ def test_the_dock_is_made_higher_by_button_and_by_keys(viewer: Viewer) -> None:
     assert height(dock) == usual + 24
     page.get_by_role("separator", name="Height of the results").dblclick()
     assert height(dock) == usual
+
+
+def test_one_forwarded_port_is_enough(viewer: Viewer) -> None:
+    assert len(viewer.asked) > 20
+    own = (viewer.served.url, viewer.served.socket_url, "blob:", "data:")
+    assert [address for address in viewer.asked if not address.startswith(own)] == []
+
+
+@pytest.mark.parametrize("size", [(1024, 700), (820, 1180)], ids=lambda size: "x".join(map(str, size)))
+def test_nothing_overlaps_on_any_tab(viewer: Viewer, size: tuple[int, int]) -> None:
+    page = viewer.page
+    page.set_viewport_size({"width": size[0], "height": size[1]})
+    found = {}
+    for tab in page.get_by_role("tab").all():
+        tab.click()
+        report = page.evaluate(LAYOUT)
+        del report["scrolled"], report["stray"]
+        found[tab.text_content()] = {kind: names for kind, names in report.items() if names}
+    page.get_by_role("tab").first.click()
+    page.set_viewport_size({"width": USUAL_SIZE[0], "height": USUAL_SIZE[1]})
+    assert {tab: kinds for tab, kinds in found.items() if kinds} == {}
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
