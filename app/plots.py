@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from cgf import descriptors, pipeline
 from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.evaluation import metrics
 from cgf.matching import MatchTable, filter_rows
+from cgf.types import PointCloud
 
 ERROR_BARS = 30
 DISTANCE_BARS = 40
@@ -211,9 +213,20 @@ def _precision(
     known = analysis.reference(settings.reference)
     if known is None:
         return None
-    rows = filter_rows(table, mutual=settings.mutual, max_ratio=settings.max_ratio)
-    indices = table.correspondences.indices[rows]
-    indices = indices[scores.source_partner[indices[:, 0]]]
-    errors = metrics.correspondence_errors(analysis.source.points, analysis.target.points, indices, known[1])
+    pose = tuple(known[1].ravel().tolist())
+    errors = _judged_errors(
+        table, scores, analysis.source, analysis.target, pose, mutual=settings.mutual, max_ratio=settings.max_ratio
+    )
     precision = metrics.precision(errors, threshold=near)
     return precision if math.isfinite(precision) else None
+
+
+@lru_cache(maxsize=48)
+def _judged_errors(
+    table: MatchTable, scores: Scores, source: PointCloud, target: PointCloud, pose: tuple[float, ...], *,
+    mutual: bool, max_ratio: float | None,
+) -> npt.NDArray[np.float64]:  # fmt: skip
+    """Errors of the matches that pass the filters and have a true partner; asked for again as the threshold moves."""
+    indices = table.correspondences.indices[filter_rows(table, mutual=mutual, max_ratio=max_ratio)]
+    indices = indices[scores.source_partner[indices[:, 0]]]
+    return metrics.correspondence_errors(source.points, target.points, indices, np.array(pose).reshape(4, 4))
