@@ -40,6 +40,7 @@ def results_of(session: Session) -> dict[str, Any]:
     content = asdict(snapshot)
     for name in ("revision", "status", "pairs", "controls", "legend"):
         del content[name]
+    content["diagnosis"] = None if snapshot.diagnosis is None else session.diagnosing.plain()
     content["settings"]["weights"] = str(snapshot.settings.weights) if snapshot.settings.weights else None
     return {
         "program": f"cgf-viewer {_version()}",

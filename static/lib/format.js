@@ -22,3 +22,12 @@ export function axisUnit(last, unit) {
   if (isRelative(unit)) return { name: "% of diameter", size: unit.diameter / 100 };
   return last * unit.metres < 1 ? { name: "cm", size: 0.01 / unit.metres } : { name: "m", size: 1 / unit.metres };
 }
+
+/** A number of the diagnosis: a share, count, length, angle, or ratio. */
+export function quantity(value, kind, unit) {
+  if (kind === "share") return percent(value, 0);
+  if (kind === "count") return count(Math.round(value));
+  if (kind === "length") return length(value, unit);
+  if (kind === "degrees") return `${Math.round(value)}°`;
+  return value >= 100 ? count(Math.round(value)) : significant(value, 2);
+}

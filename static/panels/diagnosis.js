@@ -1,7 +1,7 @@
 // What is wrong with this pair: the verdict, and a card for each finding with its evidence and its remedy.
 
 import { element } from "../lib/dom.js";
-import { count, length, percent, significant } from "../lib/format.js";
+import { length, percent, quantity, significant } from "../lib/format.js";
 
 const STAGES = { input: "Input", overlap: "Overlap", radius: "Radius", features: "Features", matching: "Matching", estimator: "Estimator" };
 const SIGNS = { problem: "✕", caution: "!", fine: "✓" };
@@ -71,9 +71,9 @@ function show(state) {
 function card(finding, state) {
   const { kind, severity, stage, sentence, evidence, remedy, confidence } = finding;
   const { unit } = state;
-  const rows = evidence.map(({ name, value, quantity, threshold, rule, estimated, holds }) => {
-    const says = `${quantityText(value, quantity, unit)}${estimated ? " (estimated)" : ""}`;
-    const limit = threshold === null ? "" : `${rule} ${quantityText(threshold, quantity, unit)}`;
+  const rows = evidence.map(({ name, value, quantity: kindOfNumber, threshold, rule, estimated, holds }) => {
+    const says = `${quantity(value, kindOfNumber, unit)}${estimated ? " (estimated)" : ""}`;
+    const limit = threshold === null ? "" : `${rule} ${quantity(threshold, kindOfNumber, unit)}`;
     const row = element("tr", { className: holds ? "" : "off" }, element("th", { scope: "row", textContent: name }),
       element("td", { textContent: says }), element("td", { className: "limit", textContent: limit }));
     if (!holds) row.title = `Should be ${limit}`;
@@ -134,12 +134,4 @@ function changeText(name, value, unit) {
     max_ratio: () => (value === null ? "no ratio limit" : `ratio limit ${value}`),
     model: () => `model ${value}`,
   }[name]();
-}
-
-function quantityText(value, quantity, unit) {
-  if (quantity === "share") return percent(value, 0);
-  if (quantity === "count") return count(Math.round(value));
-  if (quantity === "length") return length(value, unit);
-  if (quantity === "degrees") return `${Math.round(value)}°`;
-  return value >= 100 ? count(Math.round(value)) : significant(value, 2);
 }

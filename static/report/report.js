@@ -86,6 +86,16 @@ if (scene.left_out) {
   $("messages").append(element("p", { textContent: `The scene leaves out ${count(scene.left_out)} points, evenly; all figures count all of them.` }));
 }
 
+if (results.diagnosis) {
+  const { verdict, findings } = results.diagnosis;
+  const evidence = ({ name, value, quantity: kind, threshold, rule }) =>
+    `${name}: ${quantity(value, kind, unit)}${threshold === null ? "" : ` (${rule} ${quantity(threshold, kind, unit)})`}`;
+  $("diagnosis").hidden = false;
+  $("diagnosis").append(element("p", { className: "verdict", textContent: verdict }),
+    element("ul", {}, ...findings.filter(({ severity }) => severity !== "fine").map((finding) => element("li", {},
+      element("b", { textContent: `${named(finding.severity)}: ` }), finding.sentence,
+      element("small", { textContent: finding.evidence.map(evidence).join(" · ") })))));
+}
 $("precision").textContent = numbers ? percent(numbers.precision) : "–";
 $("precision-label").textContent = numbers ? `within ${length(numbers.precision_radius, unit)}` : "no pose to judge by";
 pairs($("figures"), [

@@ -124,3 +124,9 @@ def test_bad_input_ends_with_status_2_and_writes_nothing(
     assert main(["--demo", *arguments]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_diagnosis_goes_with_the_results(session: Session) -> None:
+    told = results_of(session)["diagnosis"]
+    assert told == session.diagnosing.plain()
+    assert {finding["kind"] for finding in told["findings"]} >= {"scale", "normals", "overlap"}
