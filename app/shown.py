@@ -24,7 +24,7 @@ class Shown:
     prepared_rows: npt.NDArray[np.int64]
     """For each of them, the nearest row of the prepared cloud."""
     spacing: float
-    """Median distance between neighbours, in cloud units."""
+    """Median distance to the fourth neighbour, in cloud units: the step of a square grid of as many points."""
 
 
 def choose_shown(loaded: PointCloud, prepared: PointCloud, *, limit: int = MAX_SHOWN) -> Shown:
@@ -37,7 +37,7 @@ def choose_shown(loaded: PointCloud, prepared: PointCloud, *, limit: int = MAX_S
     """
     cloud = loaded if len(loaded) <= limit else loaded.take(thinned_rows(loaded.points, limit=limit))
     rows, _ = nearest(prepared.points, cloud.points)
-    return Shown(cloud, rows, median_spacing(cloud.points))
+    return Shown(cloud, rows, median_spacing(cloud.points, neighbor=4))
 
 
 def thinned_rows(points: npt.NDArray[np.float64], *, limit: int) -> npt.NDArray[np.int64]:

@@ -54,8 +54,8 @@ def overlap_mask(
     return np.asarray(distances <= tau, dtype=np.bool_)
 
 
-def median_spacing(points: Float64[np.ndarray, "N 3"]) -> float:
-    """Median distance from a point to its nearest other point, in cloud units.
+def median_spacing(points: Float64[np.ndarray, "N 3"], *, neighbor: int = 1) -> float:
+    """Median distance from a point to its nearest other point, or to a later `neighbor`, in cloud units.
 
     Clouds of more than 5,000 points are asked at 5,000 evenly spread rows, and of more than a million at 64
     places spread likewise. Repeated points count once where most points are repeated. 0 for fewer than 2
@@ -63,8 +63,8 @@ def median_spacing(points: Float64[np.ndarray, "N 3"]) -> float:
     """
     if len(points) > _SPACING_LARGE and (points != points[0]).any():
         points = _samples_of_surface(points)
-    spacing = _median_nearest(points)
-    return spacing if spacing > 0 else _median_nearest(np.unique(points, axis=0))
+    spacing = _median_distance(points, neighbor)
+    return spacing if spacing > 0 else _median_distance(np.unique(points, axis=0), neighbor)
 
 
 def _samples_of_surface(points: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "K 3"]:
@@ -84,9 +84,10 @@ def _samples_of_surface(points: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarra
     return points
 
 
-def _median_nearest(points: Float64[np.ndarray, "N 3"]) -> float:
-    if len(points) < 2:
+def _median_distance(points: Float64[np.ndarray, "N 3"], neighbor: int) -> float:
+    neighbor = min(neighbor, len(points) - 1)
+    if neighbor < 1:
         return 0.0
     rows = np.unique(np.linspace(0, len(points) - 1, min(len(points), _SPACING_QUERIES)).astype(np.int64))
-    distances, _ = build_tree(points).query(points[rows], k=2, workers=-1)
-    return float(np.median(distances[:, 1]))
+    distances, _ = build_tree(points).query(points[rows], k=[neighbor + 1], workers=-1)
+    return float(np.median(distances))

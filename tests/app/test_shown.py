@@ -36,7 +36,7 @@ def test_a_cloud_of_too_many_points_is_thinned_evenly(limit: int) -> None:
     left = np.count_nonzero(shown.cloud.points[:, 0] < 0)
     assert 0.4 < left / len(shown.cloud) < 0.65
     np.testing.assert_array_equal(loaded.points[shown.prepared_rows], shown.cloud.points)
-    assert shown.spacing == pytest.approx(limit**-0.5, rel=0.5)
+    assert shown.spacing == pytest.approx(np.sqrt(2 / len(shown.cloud)), rel=0.3)
 
 
 def test_points_between_described_ones_have_their_colours() -> None:

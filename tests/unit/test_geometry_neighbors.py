@@ -17,6 +17,18 @@ def test_spacing_of_a_large_cloud_asks_only_some_points():
     np.testing.assert_allclose(median_spacing(lattice(80, 0.5)), 0.5)
 
 
+def test_spacing_to_a_later_neighbour():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
+    assert median_spacing(points, neighbor=2) == 3
+    # Of fewer points than that, the farthest.
+    assert median_spacing(points, neighbor=9) == 3
+    # A square grid has four neighbours at its step, and evenly spread points have their fourth about as far.
+    flat = lattice(60, 0.25) * [1, 1, 0]
+    assert median_spacing(np.unique(flat, axis=0), neighbor=4) == 0.25
+    spread = np.random.default_rng(1).uniform(0, 15, size=(3_600, 3)) * [1, 1, 0]
+    assert 0.25 < median_spacing(spread, neighbor=4) < 0.3
+
+
 @pytest.mark.parametrize("flat", [0, 1], ids=["surface", "volume"])
 def test_spacing_of_a_huge_cloud_asks_only_some_places(flat, monkeypatch):
     points = np.random.default_rng(5).uniform(0, 40, size=(200_000, 3)) * [1, 1, flat]
