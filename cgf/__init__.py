@@ -9,7 +9,8 @@ The stages in order, and the module of each:
 5. `cgf.registration` finds the rigid motion that correspondences agree on.
 6. `cgf.pipeline` chains these with one set of settings; `run_pair` does everything.
 7. `cgf.evaluation` measures correspondences and motions against true poses.
-8. `cgf.training` makes the weights of the network.
+8. `cgf.diagnosis` says why two clouds do not register, and what would mend it.
+9. `cgf.training` makes the weights of the network.
 
 Names below are imported on first use, so that `import cgf` itself costs next to nothing.
 """
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from cgf.datasets.demo import load_demo
     from cgf.descriptors import make_descriptor
     from cgf.descriptors.settings import DescriptorSettings
+    from cgf.diagnosis import Diagnosis, diagnose_result
     from cgf.evaluation.matches import MatchErrors, export_matches, match_errors
     from cgf.evaluation.metrics import correspondence_errors, has_partner, precision, precision_curve
     from cgf.geometry.lrf import estimate_lrf
@@ -63,6 +65,7 @@ _MODULES = {
     "datasets.demo": ("load_demo",),
     "descriptors": ("make_descriptor",),
     "descriptors.settings": ("DescriptorSettings",),
+    "diagnosis": ("Diagnosis", "diagnose_result"),
     "evaluation.matches": ("MatchErrors", "export_matches", "match_errors"),
     "evaluation.metrics": ("correspondence_errors", "has_partner", "precision", "precision_curve"),
     "geometry.lrf": ("estimate_lrf",),
@@ -106,6 +109,7 @@ __all__ = [
     "Correspondences",
     "Descriptor",
     "DescriptorSettings",
+    "Diagnosis",
     "Estimator",
     "Features",
     "InputError",
@@ -121,6 +125,7 @@ __all__ = [
     "ResolvedSettings",
     "correspondence_errors",
     "describe",
+    "diagnose_result",
     "estimate_lrf",
     "estimate_normals",
     "export_matches",
