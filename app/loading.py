@@ -10,7 +10,8 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.session import PairSource, Session
+from app.pair_source import PairSource
+from app.session import Session
 from app.snapshot import Snapshot
 from app.state_text import restored
 from cgf import pipeline

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
     from app.loading import PairPaths
-    from app.session import PairSource, Session
+    from app.pair_source import PairSource
+    from app.session import Session
     from cgf.types import Transform
 
 DEFAULT_HOST = "127.0.0.1"
@@ -170,7 +171,7 @@ def open_pairs(options: argparse.Namespace) -> "list[PairSource]":
         InputError: The arguments name none of these, or a file cannot be used.
     """
     from app.loading import pair_source
-    from app.session import PairSource
+    from app.pair_source import PairSource
 
     paths: list[Path] = options.paths
     if options.demo:
@@ -199,7 +200,7 @@ def _paths(options: argparse.Namespace) -> "PairPaths":
 
 
 def _open_folder(folder: Path, options: argparse.Namespace) -> "list[PairSource]":
-    from app.session import PairSource
+    from app.pair_source import PairSource
     from cgf.datasets.folder import find_folder
 
     if options.estimate is not None:

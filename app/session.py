@@ -1,11 +1,10 @@
 """The state behind the page: what was asked for, what is known, and who wants to hear of changes."""
 
-import shlex
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from app.diagnosing import Diagnosing
 from app.explorer import NO_FINDINGS, Explorer, Findings, check_rows, stepped
 from app.funnel import funnel_of, picked_of
 from app.jobs import Job, Worker
+from app.pair_source import PairSource, match_command, open_command
 from app.picking import Camera, Floats, point_at_ray, points_in_box
 from app.picture import Picture, Placed, draw, place
 from app.plots import right_within
@@ -27,11 +27,12 @@ from app.settings import MAX_SELECTED, Picked, Selected, ViewSettings
 from app.shown import MAX_SHOWN
 from app.snapshot import CloudInfo, Message, Snapshot, Status
 from app.state_text import write_state
+from app.wording import in_words_of_the_page, text_of
 from app.workbench import Workbench
 from cgf import pipeline
 from cgf.checks import InputError
 from cgf.evaluation.matches import export_matches
-from cgf.types import Pair, Transform
+from cgf.types import Transform
 
 Listener = Callable[[], None]
 
@@ -39,25 +40,6 @@ Listener = Callable[[], None]
 PROGRESS_INTERVAL_S = 0.25
 """Between two notices of one stage's progress: each has the browser paint the page, scene included, which without a
 graphics card takes the time of the computation itself."""
-
-
-@dataclass(frozen=True, eq=False)
-class PairSource:
-    """A pair that can be opened."""
-
-    name: str
-    load: Callable[[], Pair]
-    command: tuple[str, ...] = ()
-    """Arguments that open it with `cgf match`; empty where it has no files."""
-    view: tuple[str, ...] = ()
-    """Arguments that open it with `cgf-viewer`, where they are others."""
-    files: tuple[Path, Path] | None = None
-    """Source and target, where they are the user's own files."""
-
-    def holding(self, pair: Pair) -> "PairSource":
-        """The same with the pair read already: it is handed over once, and read again where it is asked for later."""
-        waiting = [pair]
-        return replace(self, load=lambda: waiting.pop() if waiting else self.load())
 
 
 class Session:
@@ -179,7 +161,7 @@ class Session:
                     if wanted.source_scale == analysis.resolved.corrections.source_scale:
                         pipeline.resolve(wanted, analysis.pair.source, analysis.pair.target)
                 except ValueError as error:
-                    raise InputError(_in_words_of_the_page(str(error))) from error
+                    raise InputError(in_words_of_the_page(str(error))) from error
             new_matches = settings.match_key != self._settings.match_key
             self._settings = settings
             self._error = None
@@ -316,7 +298,7 @@ class Session:
     def failed(self, error: Exception) -> None:
         """Tell why a task has failed; what is shown stays right."""
         with self._lock:
-            self._error = _text_of(error)
+            self._error = text_of(error)
             self._touch()
         self._notify()
 
@@ -491,7 +473,7 @@ class Session:
     def _on_error(self, error: Exception) -> None:
         with self._lock:
             self._status = Status("failed", "Failed", 0.0)
-            self._error = _text_of(error)
+            self._error = text_of(error)
             self._drop_preview()
             if isinstance(error, ValueError):
                 self.diagnosing.explain(self._settings, error)
@@ -512,7 +494,7 @@ class Session:
         scores, findings = self._scores(), self.findings()
         numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
         messages += [
-            replace(message, text=_in_words_of_the_page(message.text))
+            replace(message, text=in_words_of_the_page(message.text))
             for message in snapshots.messages_of(analysis, scores, numbers, settings)
         ]
         sides = (
@@ -549,69 +531,7 @@ class Session:
             messages=tuple(messages),
             diagnosis=self.diagnosing.info(),
             columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
-            command=_command(self._pairs[analysis.index], settings),
+            command=match_command(self._pairs[analysis.index], settings),
             shared=write_state(settings),
-            open_command=_open_command(self._pairs[analysis.index], settings),
+            open_command=open_command(self._pairs[analysis.index], settings),
         )
-
-
-def _command(pair: PairSource, settings: ViewSettings) -> str:
-    """The `cgf match` that writes the matches shown."""
-    if not pair.command:
-        return ""
-    options: list[object] = ["--descriptor", settings.descriptor]
-    for option, value in (
-        ("--model", None if settings.model == "auto" else settings.model),
-        ("--weights", settings.pair_settings().weights),
-        ("--dim", settings.dim),
-        ("--radius", settings.support_radius),
-        ("--min-radius", settings.min_radius),
-        ("--lrf-radius", settings.lrf_radius),
-        ("--voxel", settings.voxel_size),
-        ("--ratio", settings.max_ratio),
-        ("--unit", None if settings.unit == "m" else settings.unit),
-        ("--source-scale", None if settings.source_scale == 1 else settings.source_scale),
-        ("--normals", None if settings.normals == "stored" else settings.normals),
-        ("--flip-normals", None if settings.flip_normals == "none" else settings.flip_normals),
-    ):
-        if value is not None:
-            options += [option, value]
-    if settings.mutual:
-        options.append("--mutual")
-    return shlex.join(["cgf", "match", *pair.command, *map(str, options), "-o", "matches.csv"])
-
-
-def _open_command(pair: PairSource, settings: ViewSettings) -> str:
-    """The `cgf-viewer` that opens the pair shown, and no other, with settings at their defaults."""
-    arguments = list(pair.view or pair.command)
-    if not arguments:
-        return ""
-    weights = settings.pair_settings().weights
-    return shlex.join(["cgf-viewer", *arguments, *([] if weights is None else ["--weights", str(weights)])])
-
-
-_PAGE_WORDS = {
-    "--min-radius": "Minimum radius",
-    "--lrf-radius": "Frame radius",
-    "--radius": "Support radius",
-    "--voxel": "Voxel size",
-    "--ratio": "Ratio",
-    "--descriptor": "Descriptor",
-    "--dim": "Dimensions",
-    "--unit": "Unit",
-    "--source-scale": "Source scale",
-    "--model": "Model",
-}
-
-
-def _in_words_of_the_page(text: str) -> str:
-    """Errors name options of the command line; the page has controls instead."""
-    for option, label in _PAGE_WORDS.items():
-        text = text.replace(option, label)
-    return text
-
-
-def _text_of(error: Exception) -> str:
-    if isinstance(error, ValueError):
-        return _in_words_of_the_page(str(error))
-    return f"{type(error).__name__}: {error}; start cgf-viewer with --debug to see where."

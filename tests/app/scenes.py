@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from app.session import PairSource
+from app.pair_source import PairSource
 from cgf.geometry.transforms import invert, move, rigid, rotation_about
 from cgf.types import Pair, PointCloud, Transform
 

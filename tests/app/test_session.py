@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from app.pair_source import PairSource
 from app.picture import Picture
-from app.session import PairSource, Session
+from app.session import Session
 from app.settings import ViewSettings
 from app.snapshot import Snapshot
 from cgf import pipeline

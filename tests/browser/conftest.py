@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from app.session import PairSource, Session
+from app.pair_source import PairSource
+from app.session import Session
 from app.settings import ViewSettings
 from cgf.datasets.demo import load_demo
 from tests.app.serving import Served, serve
