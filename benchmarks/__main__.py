@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from benchmarks import groups, report
+from benchmarks.timing import ROOT
 from cgf.pipeline.cache import default_folder
 
 
@@ -33,6 +34,10 @@ def main(arguments: list[str] | None = None) -> None:
     print("Ratio: a peer's time over ours. Times are of the processor, unless by the clock.")
     for path in report.save(done, options.output):
         print(f"Wrote {path}")
+    if options.update:
+        report.update(ROOT / "README.md", report.summary(done))
+        report.update(ROOT / "docs" / "performance.md", f"{report.where()}\n{report.markdown(done)}")
+        (ROOT / "docs" / "performance.svg").write_text(report.plot(done), "utf-8")
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -53,6 +58,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="few points, once: whether it runs, not how fast")
     parser.add_argument("--repeats", type=int, default=3, help="of each timing (default %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("results/benchmarks"), help="folder of what is written")
+    parser.add_argument(
+        "--update", action="store_true", help="put the tables into README.md and docs/performance.md, with the plot"
+    )
     parser.add_argument(
         "--cache", type=Path, default=default_folder() / "benchmarks", help="folder of the program that times PCL"
     )

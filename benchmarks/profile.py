@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cgf
-from benchmarks import inputs
+from benchmarks import inputs, report
 from benchmarks.cases import load_vectors, spread, warm_up
 from benchmarks.timing import ROOT
 
@@ -22,15 +22,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.profile", description="Lists what takes the time.")
     parser.add_argument("--data", type=Path, help="folder of the benchmark data; the demo where it is not given")
     parser.add_argument("--points", type=int, default=4000, help="points described (default %(default)s)")
+    parser.add_argument("--update", action="store_true", help="put the lists into docs/performance.md")
     options = parser.parse_args()
     os.environ["CGF_THREADS"] = "1"
     warm_up()
+    tables = []
     for title, work in _works(options.data, options.points):
         work()
         # Of the processor, so that other work on the machine changes little.
         profile = cProfile.Profile(time.process_time)
         profile.runcall(work)
-        print(f"{title}\n{_table(pstats.Stats(profile))}")
+        tables.append(f"{title}\n{_table(pstats.Stats(profile))}")
+        print(tables[-1])
+    if options.update:
+        content = "```text\n" + "\n".join(tables).strip() + "\n```"
+        report.update(ROOT / "docs" / "performance.md", content, module="benchmarks.profile")
 
 
 def _works(data: Path | None, points: int) -> Iterator[tuple[str, Callable[[], object]]]:

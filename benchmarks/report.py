@@ -15,7 +15,7 @@ from benchmarks.groups import Group, Row
 from benchmarks.timing import ROOT
 
 COLUMNS = ("", "unit", "best", "median", "ratio", "reach", "met", "")
-PACKAGES = ("cgf-viewer", "faiss-cpu", "hnswlib", "numba", "numpy", "open3d-cpu", "scikit-learn", "scipy")
+PACKAGES = ("faiss-cpu", "hnswlib", "numba", "numpy", "open3d-cpu", "scikit-learn", "scipy")
 
 
 def machine() -> dict[str, object]:
@@ -31,7 +31,7 @@ def machine() -> dict[str, object]:
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "time": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "commit": commit,
-        "versions": {name: _version(name) for name in PACKAGES},
+        "versions": _versions(),
     }
 
 
@@ -81,6 +81,57 @@ def markdown(groups: list[Group]) -> str:
     return "\n".join(lines)
 
 
+def summary(groups: list[Group]) -> str:
+    """A line for each row of the project, with those of its peers that follow it."""
+    lines = ["| | this project | beside |", "|---|---|---|"]
+    for group in groups:
+        subject = group.title.split(",")[0]
+        own: list[str] = []
+        beside: list[str] = []
+        for row in group.rows:
+            if row.ours:
+                lines += _line(own, beside)
+                time = "" if row.timing is None else f"{_figures(row.seconds or 0)} {row.unit}"
+                figure = time or f"{_figures(row.ratio or 0)} {row.unit}"
+                own, beside = [f"{subject}: {row.name}", figure], []
+                whole = group.key in ("dense", "sizes")
+                if row.timing is not None and row.ratio is not None:
+                    beside.append(f"{_figures(row.ratio)} {row.note if whole else row.note.split(';')[0]}")
+                elif whole:
+                    beside.append(row.note)
+            elif row.ratio is not None:
+                beside.append(f"{row.name.split(': ')[-1]} {_figures(row.seconds or 0)} ({_figures(row.ratio)} times)")
+        lines += _line(own, beside)
+    return "\n".join(lines) + "\n"
+
+
+def update(path: Path, content: str, *, module: str = "benchmarks") -> None:
+    """Put `content` between the two comments of a document that say which module makes it.
+
+    Raises:
+        ValueError: The document has no such comments.
+    """
+    document = path.read_text("utf-8")
+    begin, end = f"<!-- made by: python -m {module} --update -->\n", "<!-- until here -->"
+    before, found, rest = document.partition(begin)
+    _, found_end, after = rest.partition(end)
+    if not found or not found_end:
+        raise ValueError(f"{path} must have the lines {begin.strip()} and {end}, got no such lines")
+    path.write_text(f"{before}{begin}\n{content.strip()}\n\n{end}{after}", "utf-8")
+
+
+def where() -> str:
+    """One line on the machine and its software."""
+    facts = machine()
+    load = f", load {facts['load']:.1f} at the end" if facts["load"] is not None else ""
+    versions = ", ".join(f"{name} {version}" for name, version in _versions().items())
+    return f"{facts['processor']}, {facts['processors']} processors{load}, {facts['time']}; {versions}.\n"
+
+
+def _line(own: list[str], beside: list[str]) -> list[str]:
+    return [f"| {own[0]} | {own[1]} | {'; '.join(beside)} |"] if own else []
+
+
 def save(groups: list[Group], folder: Path) -> list[Path]:
     """Write `table.md`, `results.json` and `plot.svg`."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,7 +148,7 @@ def save(groups: list[Group], folder: Path) -> list[Path]:
 
 def plot(groups: list[Group]) -> str:
     """Bars of the times of each group, on a logarithmic scale of its own."""
-    left, width, step = 330, 420, 20
+    left, width, step = 320, 420, 20
     parts: list[str] = []
     y = 10
     for group in groups:
@@ -135,6 +186,10 @@ def _figures(value: float) -> str:
         return "0"
     decimals = max(2 - math.floor(math.log10(abs(value))), 0)
     return f"{value:,.{min(decimals, 6)}f}"
+
+
+def _versions() -> dict[str, str]:
+    return {name: _version(name) for name in PACKAGES}
 
 
 def _version(package: str) -> str:

@@ -36,7 +36,7 @@ def test_the_command_runs_on_the_demo_without_its_peers(tmp_path: Path) -> None:
     results = json.loads((tmp_path / "out" / "results.json").read_text("utf-8"))
     search, dense = results["groups"]
     measured = {row["name"]: row["timing"] is not None for row in search["rows"]}
-    assert measured["32: cgf, both directions and the second nearest"]
+    assert measured["32 dimensions: both directions, two nearest"]
     assert measured["32: SciPy cKDTree"]
     assert not measured["32: FLANN, one k-d tree"]
     assert not measured["32: faiss IndexFlatL2"]
@@ -78,3 +78,43 @@ def test_what_is_reached_is_said(ratio: float, met: str) -> None:
     row = Row("peer", "s", Timing((1.0,), (1.0,)), ratio, 2.0)
     assert report.cells(row)[6] == met
     assert f"| {met} |" in report.markdown([Group("key", "Title", [row])])
+
+
+def some_groups() -> list[Group]:
+    ours = Row("cgf", "s", Timing((2.0, 1.0), (9.0, 9.0)), ours=True)
+    peer = Row("peer", "s", Timing((4.0, 3.0), (9.0, 9.0)), 3.0, 2.0)
+    missing = Row("other", "s", None, reach=2.0, note="absent; install it")
+    shared = Row("cgf, 2 threads", "s", Timing((1.0,), (0.5,)), 1.9, 1.9, "times as fast", ours=True, by_clock=True)
+    return [Group("describing", "Describing, on something", [ours, peer, missing, shared])]
+
+
+def test_the_summary_has_a_line_for_each_row_of_ours() -> None:
+    lines = report.summary(some_groups()).splitlines()[2:]
+    assert lines == [
+        "| Describing: cgf | 1.00 s | peer 3.00 (3.00 times) |",
+        "| Describing: cgf, 2 threads | 0.500 s | 1.90 times as fast |",
+    ]
+
+
+def test_documents_are_updated_between_their_comments(tmp_path: Path) -> None:
+    path = tmp_path / "a.md"
+    begin, end = "<!-- made by: python -m benchmarks --update -->\n", "<!-- until here -->\nafter\n"
+    path.write_text(f"before\n{begin}old\n{end}", "utf-8")
+    for _ in range(2):
+        report.update(path, "new\n")
+        assert path.read_text("utf-8") == f"before\n{begin}\nnew\n\n{end}"
+
+
+def test_a_document_without_the_comments_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.md"
+    path.write_text("text", "utf-8")
+    with pytest.raises(ValueError, match=r"a\.md must have the lines <!-- made by: .* -->, got no such lines"):
+        report.update(path, "new")
+    assert path.read_text("utf-8") == "text"
+
+
+@pytest.mark.parametrize("name", ["README.md", "docs/performance.md"])
+def test_the_documents_have_the_comments(name: str, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.md"
+    copy.write_text((ROOT / name).read_text("utf-8"), "utf-8")
+    report.update(copy, "new")
