@@ -11,7 +11,12 @@ from cgf.pipeline.cache import default_folder
 
 
 def main(arguments: list[str] | None = None) -> None:
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.data is not None and not options.data.is_dir():
+        parser.error(f"--data must be a folder, got {options.data}")
+    if options.repeats < 1:
+        parser.error(f"--repeats must be at least 1, got {options.repeats}")
     plan = groups.Plan(
         data=options.data,
         cache=options.cache,

@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from benchmarks import inputs, report
+from benchmarks.__main__ import main
 from benchmarks.groups import Group, Row
 from benchmarks.straight import find_neighbors, straight_histograms
 from benchmarks.timing import Timing
@@ -43,6 +44,19 @@ def test_the_command_runs_on_the_demo_without_its_peers(tmp_path: Path) -> None:
     assert [row["timing"] for row in dense["rows"]] == [None]
     assert ET.parse(tmp_path / "out" / "plot.svg").getroot().tag.endswith("svg")
     assert "| 32: faiss IndexFlatL2 |" in (tmp_path / "out" / "table.md").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--data", "nowhere"], "--data must be a folder, got nowhere"),
+        (["--repeats", "0"], "--repeats must be at least 1, got 0"),
+    ],
+)
+def test_unusable_options_are_refused(arguments: list[str], sentence: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(arguments)
+    assert sentence in capsys.readouterr().err
 
 
 def test_the_straight_loop_is_the_histogram() -> None:
