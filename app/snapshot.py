@@ -1,7 +1,7 @@
 """What the page is told: plain values, ready to become JSON."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -338,6 +338,9 @@ def estimate_of(analysis: Analysis) -> Estimate | None:
 
 def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings, findings: Findings) -> Legend:
     """Explain the colours, which are made by the functions that coloured the points."""
+    if settings.columns:
+        # Columns show errors, whatever the pair itself showed.
+        settings = replace(settings, coloring="error")
     coloring = shown_coloring(analysis, scores, settings, findings)
     if coloring == "distance":
         return _distance_legend(findings)

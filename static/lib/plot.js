@@ -8,7 +8,7 @@ export function roundValues(low, high, wanted = 6) {
   const span = high - low;
   if (!(span > 0)) return [low];
   const magnitude = 10 ** Math.floor(Math.log10(span));
-  const step = [0.1, 0.2, 0.5, 1, 2].map((share) => share * magnitude).find((candidate) => span / candidate <= wanted);
+  const step = [0.1, 0.2, 0.5, 1, 2, 5].map((share) => share * magnitude).find((candidate) => span / candidate <= wanted);
   const values = [];
   for (let value = Math.ceil(low / step - 1e-9) * step; value <= high + span * 1e-4; value += step) {
     values.push(Number(value.toPrecision(6)));

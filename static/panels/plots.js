@@ -251,7 +251,7 @@ function drawSweep(name, sweep, { unit }) {
   const write = (value) => (name === "radius" ? significant(value / size, 2) : String(value));
   const wide = values.length > 1 ? [values[0] / 1.12, values.at(-1) * 1.12] : [values[0] / 2, values[0] * 2];
   const plot = axes(svg, {
-    x: { range: wide, log: true, title: name === "radius" ? `support radius (${unitName})` : "dimensions", ticks: thinned(values, wide, svg).map((value) => [value, write(value)]) },
+    x: { range: wide, log: true, title: name === "radius" ? `radius (${unitName})` : "dimensions", ticks: thinned(values, wide, svg).map((value) => [value, write(value)]) },
     y: shareAxis("right matches"),
   });
   if (!plot) return;

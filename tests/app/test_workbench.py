@@ -280,7 +280,10 @@ def test_compared_columns_have_their_own_errors_at_one_scale(session: Session) -
     np.testing.assert_array_equal(first.source.colors, alone.source.colors)
     assert first.target is None
     assert first.label == f"CGF-32, radius 0.8 m: {100 * (snapshot.columns[0].precision or 0):.1f} %"
-    settle(session, compare_pair=True)
+    legend = settle(session, compare_pair=True, coloring="residual").legend
+    assert legend is not None
+    assert legend.coloring == "error"
+    settle(session, coloring="error")
     assert picture_of(session).columns[0].target is not None
     settle(session, columns=())
     assert picture_of(session).columns == ()
