@@ -158,11 +158,15 @@ class Analyst:
             InputError: A file or setting cannot be used.
             Cancelled: The job is no longer wanted.
         """
-        job.progress(0.0, "Loading the clouds")
+        # Only what takes its time is told: each text has the browser paint the page before the scene.
+        job.check()
+        if not self._cache.has("load", settings.pair):
+            job.progress(0.0, "Loading the clouds")
         wanted = settings.pair_settings()
         pair = self.corrected(settings.pair, wanted)
         resolved = pipeline.resolve(wanted, pair.source, pair.target)
-        job.progress(0.03, "Preparing the clouds")
+        if not self._cache.has("show", (settings.pair, "target", resolved.preparation_key)):
+            job.progress(0.03, "Preparing the clouds")
         analysis = self._prepared(settings.pair, pair, resolved)
         show(analysis)
         known = self._is_described(analysis)
@@ -173,7 +177,7 @@ class Analyst:
                 self._preview(analysis, settings, job, show_preview)
             analysis = self._described(analysis, job)
             show(analysis)
-            job.progress(0.85, "Matching features")
+            job.check()
             analysis = self._matched(analysis, job)
         show(analysis)
 
@@ -254,11 +258,12 @@ class Analyst:
 
         def describe(side: str, cloud: PointCloud, start: float, end: float) -> Features:
             text = f"Describing the {side}"
-            job.progress(start, text)
+            job.check()
             key = pipeline.feature_key(cloud, resolved)
             return self._cache.get("describe", key, lambda: compute(key, cloud, start, end, text))
 
         def compute(key: str, cloud: PointCloud, start: float, end: float, text: str) -> Features:
+            job.progress(start, text)
             held = self._disk is not None and key in self._disk
             started = time.perf_counter()
             features = pipeline.describe_cached(
@@ -288,8 +293,11 @@ class Analyst:
         def match(first: Features, second: Features) -> MatchTable:
             return pipeline.match_cached(first, second, resolved, self._disk, cancelled=job.is_cancelled)
 
-        key = pipeline.match_key(source, target)
-        both = self._cache.get("match", key, lambda: (match(source, target), match(target, source)))
+        def match_both() -> tuple[MatchTable, MatchTable]:
+            job.progress(0.85, "Matching features")
+            return match(source, target), match(target, source)
+
+        both = self._cache.get("match", pipeline.match_key(source, target), match_both)
         # Found again by the settings alone, for those who do not want to describe first.
         matches, back = self._cache.get("matched", (analysis.index, resolved.match_key), lambda: both)
         return replace(analysis, matches=matches, back_matches=back)

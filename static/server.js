@@ -76,7 +76,11 @@ export async function api(path, { body, content: raw, ...rest } = {}) {
 
 export function connect() {
   const events = new EventSource("api/events");
-  events.addEventListener("state", (event) => show(JSON.parse(event.data)));
+  events.addEventListener("state", (event) => {
+    const next = JSON.parse(event.data);
+    // The answer to our own change has shown this already.
+    show(next, { onlyStatus: next.revision === latest?.revision && !isOffline });
+  });
   events.addEventListener("status", (event) => {
     if (!latest) return;
     isOffline = false;
@@ -91,10 +95,10 @@ function lost() {
   tell({ onlyStatus: true });
 }
 
-function show(next) {
+function show(next, { onlyStatus = false } = {}) {
   // Answers and events may overtake each other.
   if (latest && next.revision < latest.revision) return;
   isOffline = false;
   latest = next;
-  tell();
+  tell({ onlyStatus });
 }
