@@ -38,13 +38,35 @@ def opened(served: Served, browser: Browser) -> Iterator[Viewer]:
     viewer.page.close()
 
 
+@pytest.fixture(scope="session")
+def opened_flat(served: Served, browser: Browser) -> Iterator[Viewer]:
+    flat = open_page(served, browser, *USUAL_SIZE, has_scene=False)
+    yield flat
+    flat.page.close()
+
+
 @pytest.fixture
 def viewer(opened: Viewer) -> Iterator[Viewer]:
     """The page, put back afterwards as it was."""
     yield opened
-    opened.page.evaluate("for (const dialog of document.querySelectorAll('dialog')) dialog.close()")
+    put_back(opened)
+
+
+@pytest.fixture
+def flat(opened_flat: Viewer) -> Iterator[Viewer]:
+    """The page without its scene, put back afterwards as it was."""
+    opened_flat.settle()
+    yield opened_flat
+    put_back(opened_flat)
+
+
+def put_back(viewer: Viewer) -> None:
+    viewer.page.evaluate("for (const dialog of document.querySelectorAll('dialog')) dialog.close()")
+    viewer.page.set_viewport_size({"width": USUAL_SIZE[0], "height": USUAL_SIZE[1]})
+    viewer.page.emulate_media(color_scheme=None)
+    viewer.page.get_by_role("tab").first.click()
     defaults = ViewSettings()
-    opened.served.session.change({name: getattr(defaults, name) for name in defaults.__dataclass_fields__})
-    opened.settle()
-    complaints, opened.complaints = opened.complaints, []
+    viewer.served.session.change({name: getattr(defaults, name) for name in defaults.__dataclass_fields__})
+    viewer.settle()
+    complaints, viewer.complaints = viewer.complaints, []
     assert complaints == []

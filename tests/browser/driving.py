@@ -109,8 +109,11 @@ def hash_of(counts: Counter[tuple[int, int, int]]) -> int:
     return total
 
 
-def open_page(served: Served, browser: Browser, width: int, height: int) -> Viewer:
+def open_page(served: Served, browser: Browser, width: int, height: int, *, has_scene: bool = True) -> Viewer:
+    """Open the page; without its scene nothing has to be drawn, which takes most of the time."""
     page = browser.new_page(viewport={"width": width, "height": height})
+    if not has_scene:
+        page.route("**/viewer/", lambda route: route.fulfill(body=""))
     viewer = Viewer(served, page)
 
     def heard(message: ConsoleMessage) -> None:

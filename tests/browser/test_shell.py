@@ -4,13 +4,13 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import expect
 
-from tests.browser.driving import LAYOUT, USUAL_SIZE, Viewer
+from tests.browser.driving import LAYOUT, Viewer
 
 pytestmark = pytest.mark.browser
 
 
-def test_tabs_are_moved_by_arrow_keys_and_kept_in_the_address(viewer: Viewer) -> None:
-    page = viewer.page
+def test_tabs_are_moved_by_arrow_keys_and_kept_in_the_address(flat: Viewer) -> None:
+    page = flat.page
     page.get_by_role("tab", name="Summary").click()
     page.keyboard.press("ArrowLeft")
     expect(page.get_by_role("tab", name="Share")).to_be_focused()
@@ -46,8 +46,8 @@ def test_commands_are_found_by_words_and_run_by_enter(viewer: Viewer) -> None:
     expect(page.get_by_role("radio", name="Features")).to_be_checked()
 
 
-def test_help_lists_every_key(viewer: Viewer) -> None:
-    page = viewer.page
+def test_help_lists_every_key(flat: Viewer) -> None:
+    page = flat.page
     page.get_by_role("tab", name="Summary").press("?")
     listed = page.locator("#help li")
     for label, key in [("Show summary", "1"), ("Find a command", "/"), ("Light or dark", "t")]:
@@ -78,8 +78,8 @@ def test_the_theme_follows_the_system_until_another_is_chosen(viewer: Viewer) ->
     page.emulate_media(color_scheme=None)
 
 
-def test_the_dock_is_made_higher_by_button_and_by_keys(viewer: Viewer) -> None:
-    page = viewer.page
+def test_the_dock_is_made_higher_by_button_and_by_keys(flat: Viewer) -> None:
+    page = flat.page
     dock, stage = page.locator("#dock"), page.locator(".stage")
     height = lambda locator: locator.evaluate("element => element.offsetHeight")  # noqa: E731
     usual = height(dock)
@@ -101,8 +101,8 @@ def test_one_forwarded_port_is_enough(viewer: Viewer) -> None:
 
 
 @pytest.mark.parametrize("size", [(1024, 700), (820, 1180)], ids=lambda size: "x".join(map(str, size)))
-def test_nothing_overlaps_on_any_tab(viewer: Viewer, size: tuple[int, int]) -> None:
-    page = viewer.page
+def test_nothing_overlaps_on_any_tab(flat: Viewer, size: tuple[int, int]) -> None:
+    page = flat.page
     page.set_viewport_size({"width": size[0], "height": size[1]})
     found = {}
     for tab in page.get_by_role("tab").all():
@@ -110,14 +110,12 @@ def test_nothing_overlaps_on_any_tab(viewer: Viewer, size: tuple[int, int]) -> N
         report = page.evaluate(LAYOUT)
         del report["scrolled"], report["stray"]
         found[tab.text_content()] = {kind: names for kind, names in report.items() if names}
-    page.get_by_role("tab").first.click()
-    page.set_viewport_size({"width": USUAL_SIZE[0], "height": USUAL_SIZE[1]})
     assert {tab: kinds for tab, kinds in found.items() if kinds} == {}
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_axe_finds_nothing_serious_on_any_tab(viewer: Viewer, theme: str) -> None:
-    page = viewer.page
+def test_axe_finds_nothing_serious_on_any_tab(flat: Viewer, theme: str) -> None:
+    page = flat.page
     page.emulate_media(color_scheme=theme)  # type: ignore[arg-type]
     found = []
 
@@ -137,6 +135,4 @@ def test_axe_finds_nothing_serious_on_any_tab(viewer: Viewer, theme: str) -> Non
         page.keyboard.press(key)
         look(key)
         page.keyboard.press("Escape")
-    page.get_by_role("tab").first.click()
-    page.emulate_media(color_scheme=None)
     assert found == []
