@@ -37,6 +37,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="ours; triplets as published; or principal components (default: contrastive)",
     )
     recipe.add_argument("--dims", type=int, nargs="+", metavar="N", help="widths; paper and pca take the last alone")
+    recipe.add_argument("--width", type=int, metavar="N", help="channels of the contrastive network (default: 192)")
     recipe.add_argument("--steps", type=int, metavar="N", help="minibatches (default: 6000, or 3 epochs for paper)")
     recipe.add_argument("--batch", type=int, metavar="N", help="correspondences or triplets a minibatch")
     recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")

@@ -108,7 +108,7 @@ class Batches:
             cloud.points[kept], support_radius=self.support_radius * factor, min_radius=self.min_radius * factor
         )
         frames = _random_frames(cloud.normals[rows], np.deg2rad(self.augmentation.normal_noise_deg), rng)
-        return grid.histograms(cloud.points[rows], frames)[0]
+        return grid.histograms(cloud.points[rows], frames, soft=True)[0]
 
 
 def _reversed(overlap: Overlap) -> Overlap:

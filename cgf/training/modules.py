@@ -2,11 +2,11 @@
 
 from itertools import pairwise
 
-import torch
 from torch import Tensor, nn
 
-from cgf.descriptors.network import COLUMN_BINS, INPUT_GAIN
-from cgf.descriptors.settings import AZIMUTH_BINS, HISTOGRAM_BINS
+from cgf.descriptors.device import azimuth_forward, paper_forward
+from cgf.descriptors.network import COLUMN_BINS
+from cgf.descriptors.settings import HISTOGRAM_BINS
 
 
 class AzimuthNetwork(nn.Module):
@@ -15,23 +15,16 @@ class AzimuthNetwork(nn.Module):
     The output is not normalised: the loss and `Network.embed` divide the prefixes by their lengths.
     """
 
-    def __init__(self, dim: int, *, width: int = 256, hidden: int = 512) -> None:
+    def __init__(self, dim: int, *, width: int) -> None:
         super().__init__()
         widths = [COLUMN_BINS, width, width, width]
         self.columns = nn.ModuleList(nn.Linear(3 * a, b) for a, b in pairwise(widths))
-        self.hidden = nn.Linear(2 * width, hidden)
-        self.out = nn.Linear(hidden, dim)
+        self.hidden = nn.Linear(2 * width, 2 * width)
+        self.out = nn.Linear(2 * width, dim)
 
     def forward(self, histograms: Tensor) -> Tensor:
-        """Map (K, 2244) histograms to (K, dim)."""
-        columns = histograms.sqrt().view(-1, AZIMUTH_BINS, COLUMN_BINS) * INPUT_GAIN
-        for layer in self.columns:
-            # As roll, concat and Linear: a circular Conv1d is nine times slower on processors.
-            neighbors = torch.cat([columns.roll(1, dims=1), columns, columns.roll(-1, dims=1)], dim=2)
-            columns = layer(neighbors).relu()
-        pooled = torch.cat([columns.amax(dim=1), columns.mean(dim=1)], dim=1)
-        out: Tensor = self.out(self.hidden(pooled).relu())
-        return out
+        """Map (K, 2244) histograms, of soft azimuth sectors, to (K, dim)."""
+        return azimuth_forward(histograms, dict(self.named_parameters()))
 
 
 class PaperNetwork(nn.Module):
@@ -48,8 +41,4 @@ class PaperNetwork(nn.Module):
 
     def forward(self, histograms: Tensor) -> Tensor:
         """Map (K, 2244) histograms to (K, dim)."""
-        values = histograms
-        for layer in self.layers[:-1]:
-            values = layer(values).relu()
-        out: Tensor = self.layers[-1](values)
-        return out
+        return paper_forward(histograms, dict(self.named_parameters()))

@@ -123,7 +123,7 @@ def _contrastive(
 
     loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
     loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
-    network = AzimuthNetwork(settings.dims[-1])
+    network = AzimuthNetwork(settings.dims[-1], width=settings.width)
     folder = settings.output.with_suffix("")
     module = train(network, draw=batches.draw, loss_of=loss_of, settings=loop, folder=folder, progress=progress)
     return _Trained("azimuth", _weights(module), loop.steps)

@@ -25,6 +25,8 @@ class TrainSettings:
     """`paper` trains on 40 triplets a point for three epochs, `pca` fits principal components."""
     dims: tuple[int, ...] = (8, 16, 24, 32, 64)
     """Widths of the feature; the recipes `paper` and `pca` take the last alone."""
+    width: int = 192
+    """Channels of the contrastive recipe's network; time and size grow with its square."""
     steps: int | None = None
     """Minibatches; none stands for 6,000 (contrastive) or three epochs (paper)."""
     batch: int = 512

@@ -1,6 +1,7 @@
 """What is read from files of points in each format."""
 
 import struct
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -311,6 +312,11 @@ def test_rows_with_nan_are_refused_or_left_out(cloud, tmp_path):
     assert_same(read_cloud(path, drop_invalid=True), cloud.take(np.delete(np.arange(COUNT), [4, 9])))
 
 
+def patch_import(monkeypatch, import_module):
+    """Only where Open3D is imported: finding the library that comes with a package imports modules as well."""
+    monkeypatch.setattr("cgf.io.libraries.importlib", SimpleNamespace(import_module=import_module))
+
+
 def test_libusb_is_found_where_the_system_lacks_it(monkeypatch):
     attempts = []
 
@@ -320,7 +326,7 @@ def test_libusb_is_found_where_the_system_lacks_it(monkeypatch):
             raise ImportError("libusb-1.0.so.0: cannot open shared object file")
         return pytest
 
-    monkeypatch.setattr("importlib.import_module", import_once)
+    patch_import(monkeypatch, import_once)
     assert import_open3d() is pytest
     assert attempts == ["open3d", "open3d"]
 
@@ -329,7 +335,7 @@ def test_a_library_that_the_system_lacks_is_named_with_its_package(monkeypatch):
     def fail(name):
         raise ImportError("libEGL.so.1: cannot open shared object file: No such file or directory")
 
-    monkeypatch.setattr("importlib.import_module", fail)
+    patch_import(monkeypatch, fail)
     message = (
         r"^Open3D, which computes fpfh, must find libEGL\.so\.1, got none on this system; "
         r"on Debian and Ubuntu: apt-get install libegl1 libgl1 libidn2-0 libx11-6$"
@@ -342,6 +348,6 @@ def test_other_reasons_why_open3d_cannot_load_are_not_hidden(monkeypatch):
     def fail(name):
         raise ImportError("no such module")
 
-    monkeypatch.setattr("importlib.import_module", fail)
+    patch_import(monkeypatch, fail)
     with pytest.raises(ImportError, match=r"^no such module$"):
         import_open3d()

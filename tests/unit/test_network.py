@@ -34,7 +34,7 @@ def torch_network(kind):
     from cgf.training.modules import AzimuthNetwork, PaperNetwork
 
     torch.manual_seed(1)
-    module = AzimuthNetwork(16, width=24, hidden=32) if kind == "azimuth" else PaperNetwork(16)
+    module = AzimuthNetwork(16, width=24) if kind == "azimuth" else PaperNetwork(16)
     weights = {name: value.numpy().copy() for name, value in module.state_dict().items()}
     return module, Network(AZIMUTH if kind == "azimuth" else PAPER, weights)
 
@@ -74,7 +74,7 @@ def test_weights_that_contradict_their_card_are_refused(tmp_path):
     write_network(tmp_path / "a.safetensors", network)
     card = json.loads((tmp_path / "a.json").read_text())
     (tmp_path / "a.json").write_text(json.dumps(card | {"dims": [8, 32]}))
-    with pytest.raises(ValueError, match=r"weights must fit their card .*out.weight must have shape \(32, 32\)"):
+    with pytest.raises(ValueError, match=r"weights must fit their card .*out.weight must have shape \(32, 48\)"):
         read_network(tmp_path / "a.safetensors")
 
 
