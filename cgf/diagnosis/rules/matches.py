@@ -243,7 +243,7 @@ def judge_agreement(measured: Measures) -> Finding | None:
         return None
     return finding(
         "agreement", "matching", "problem", "No pose has enough matches behind it.", evidence,
-        "See the findings above; try another descriptor, or a rough pose to start from.", {}, 0.9,
+        "Try another descriptor or radius, scans that overlap more, or a rough pose to start from.", {}, 0.9,
     )  # fmt: skip
 
 
