@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import importlib.util
 import threading
+import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,8 @@ Handler = Callable[[Any], Awaitable[None]]
 _NEEDED = ("ViewerCameraMessage",)
 """What a browser may tell viser; answers to renders asked for by us are added by viser for the time of the request.
 Clicks are not among them: `app.viewer.pointer` checks them in viser's place."""
+
+_LATE = "Queued a .* on a closed connection"
 
 # What viser's own panel, notices and palette would show is on our page, with labels and without covering the scene. Its
 # sorter for Gaussian splats, which are never drawn here, needs `eval`; that our policy refuses it is no error.
@@ -67,6 +70,8 @@ class ViserHost:
             finally:
                 websockets.asyncio.server.serve = listen  # type: ignore[misc]
         self._handler = captured[0]
+        # A tab may close at any moment, also between finding it and telling it something.
+        warnings.filterwarnings("ignore", message=_LATE, category=UserWarning)
         # Let no browser reach what we do not use: the public tunnel, uploads, changes of viser's own controls.
         _drop_handlers(self.server._websock_server)
         self.server._websock_server.on_client_connect(lambda connection: _drop_handlers(connection, keep=_NEEDED))
