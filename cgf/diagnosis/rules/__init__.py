@@ -1,7 +1,8 @@
 """From measures to findings: one function a kind of finding, each with the threshold it judges by.
 
-The thresholds are those of the measurements named beside them: 97 pairs of FGR (level 1), redkitchen and home_at, good
-and failing ones, and surfaces made for the purpose. A finding whose evidence is weak is a caution, or none.
+The thresholds are those of the measurements named beside them: 98 pairs of FGR (level 1), redkitchen, home_at and the
+demo, of which 89 register, and pairs and surfaces made for the purpose. A finding whose evidence is weak is a caution,
+or none.
 """
 
 from collections.abc import Callable

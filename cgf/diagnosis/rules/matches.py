@@ -21,13 +21,13 @@ FAIR_OVERLAP = 0.45
 LOW_LIKENESS, FAIR_LIKENESS = 0.35, 0.45
 """Share of points that look more like their match than like their own cloud: below, pairs begin to fail."""
 FEATURELESS = 0.003
-"""Of a cloud's stability: made planes, spheres and cylinders have less, of 97 pairs none."""
+"""Of a cloud's stability: made planes, spheres and cylinders have less, of 98 pairs none."""
 FEW_DISTINCTIVE = 0.3
-"""Good pairs have 0.4 and more."""
+"""Pairs that share half of their points have 0.33 or more, but for one."""
 LOW_PRECISION = 0.1
-"""Of matches of points that have a partner; pairs that register have 0.2 and more."""
+"""Of matches of points that have a partner; pairs that register have 0.11 or more."""
 RIVAL = 0.5
-"""Support of the second pose over that of the first; right poses have 0.4 or less."""
+"""Support of the second pose over that of the first; right poses have 0.41 or less, but for two."""
 EQUAL, MANY = 0.7, 60
 """A second pose with this share of the first one's matches, of which there are so many, is no chance."""
 SELF_LIKE = 0.25
