@@ -45,8 +45,8 @@ STAGE_COLORS: dict[Rejection, tuple[int, int, int]] = {
 }
 """Points and matches by the stage that rejects them; told apart by lightness too."""
 PICKED: tuple[int, int, int] = (70, 224, 240)
-"""The point that was picked: no ramp has this hue."""
-PARTNER: tuple[int, int, int] = (240, 240, 240)
+"""The point that was picked: this hue and the next are in no ramp, and stand out from both themes."""
+PARTNER: tuple[int, int, int] = (240, 72, 160)
 """Its true partner."""
 AXES: Colors = np.array([(226, 74, 74), (96, 200, 90), (84, 132, 240)], dtype=np.uint8)
 """Of a frame: x, y, z."""

@@ -40,12 +40,12 @@ class PickedInfo:
 
 
 _STEPS: dict[Rejection, str] = {
-    "no_frame": "With a local frame",
+    "no_frame": "With a frame",
     "no_feature": "With a feature",
-    "no_partner": "With a true partner",
-    "not_mutual": "Mutual match",
-    "above_ratio": "Within the ratio",
-    "outlier": "Inliers of the estimate",
+    "no_partner": "Overlapping",
+    "not_mutual": "Mutual",
+    "above_ratio": "Ratio",
+    "outlier": "Inliers",
 }
 """What passes each stage."""
 
@@ -87,7 +87,7 @@ def stage_text(stage: Rejection, *, judged: bool) -> str:
         "no_partner": "no true partner",
         "not_mutual": "not mutual",
         "above_ratio": "above the ratio",
-        "outlier": "outlier of the estimate",
+        "outlier": "outlier",
         "none": "inlier" if judged else "passes",
     }[stage]
 

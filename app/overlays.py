@@ -10,7 +10,7 @@ from app.settings import ViewSettings
 from cgf.pipeline import PointInspection, ResolvedSettings, Side, Surroundings
 
 CIRCLE_STEPS = 48
-MARKER = 2.2
+MARKER = 2.6
 """Size of markers in spacings of the prepared points."""
 SIDES: tuple[Side, Side] = ("source", "target")
 

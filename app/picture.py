@@ -292,9 +292,9 @@ def draw(
 
 
 def _raised(cloud: PointCloud, analysis: Analysis, placed: Placed) -> Floats:
-    """From each prepared point towards the sensor, by the spacing."""
+    """From each prepared point towards the sensor, by what discs of the picture reach over each other."""
     normals = np.zeros_like(cloud.points) if cloud.normals is None else cloud.normals
-    raised: Floats = normals * (analysis.resolved.spacing * placed.scale)
+    raised: Floats = normals * (2 * analysis.resolved.spacing * placed.scale)
     return raised
 
 

@@ -24,6 +24,7 @@ const page = {
   chosen: server.chosen,
   change: server.change,
   api: server.api,
+  act: server.act,
   refuse: server.refuse,
   command,
   /** Show the tab of that name. */

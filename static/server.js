@@ -74,6 +74,11 @@ export async function api(path, { body, content: raw, ...rest } = {}) {
   return content;
 }
 
+/** Ask for something that answers with the new state, and show that. */
+export async function act(path, body) {
+  show(await api(path, { method: "POST", body }));
+}
+
 export function connect() {
   const events = new EventSource("api/events");
   events.addEventListener("state", (event) => {

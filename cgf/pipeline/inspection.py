@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from cgf.descriptors.network import load_network
+from cgf.descriptors.network import NetworkCard, load_network
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, RADIAL_BINS
 from cgf.geometry import transforms
 from cgf.pipeline.settings import ResolvedSettings
@@ -133,7 +133,8 @@ def surroundings(cloud: PointCloud, row: int, settings: ResolvedSettings) -> Sur
     frame = frames(cloud, np.array([row], dtype=np.int64), settings)[0]
     if not frame.any():
         return Surroundings(row, None, None, 0)
-    rows, counts = _grid(cloud, settings).histograms(cloud.points[row : row + 1], frame[None])
+    soft = _card(settings).soft
+    rows, counts = _grid(cloud, settings).histograms(cloud.points[row : row + 1], frame[None], soft=soft)
     # Radial bins are the fastest, azimuth the slowest.
     histogram = rows[0].reshape(AZIMUTH_BINS, ELEVATION_BINS, RADIAL_BINS)
     return Surroundings(row, frame, histogram if counts[0] else None, int(counts[0]))
@@ -150,8 +151,12 @@ def frames(cloud: PointCloud, rows: Int64[np.ndarray, "K"], settings: ResolvedSe
         return np.zeros((len(rows), 3, 3))
     from cgf.geometry.lrf import estimate_lrf  # on first use: Numba takes a second to import
 
-    kind = load_network(settings.descriptor, settings.model, settings.weights).card.frame
+    kind = _card(settings).frame
     return estimate_lrf(cloud.points, cloud.normals, rows, radius=settings.lrf_radius, kind=kind)[0]
+
+
+def _card(settings: ResolvedSettings) -> NetworkCard:
+    return load_network(settings.descriptor, settings.model, settings.weights).card
 
 
 def far_modes(

@@ -77,11 +77,15 @@ def test_the_fan_goes_from_the_point_to_its_candidates(session: Session) -> None
     session.change({"picked": Picked("source", 200), "layout": "overlaid"})
     picture, details = picture_of(session), session.point()
     fan = picture.overlays.line_points[:9]
-    # Overlaid in the true pose, a line is as long as the error of its match, and a little more where it is raised.
+    # Overlaid in the true pose, a line is as long as the error of its match, but for the ends, which are raised by
+    # twice the spacing along their normals so that no disc hides them.
     errors = np.array([*(candidate.error for candidate in details.candidates), details.partner.gap])
     scale = np.linalg.norm(np.ptp(picture.target.points, axis=0)) / hills().target.diameter
     lengths = np.linalg.norm(fan[:, 1] - fan[:, 0], axis=1)
-    np.testing.assert_allclose(lengths, errors * scale, atol=0.15)
+    spacing = 3 / 31
+    assert (np.abs(lengths - errors * scale) <= 4 * spacing * scale).all()
+    np.testing.assert_allclose(fan[:, 1], picture.overlays.marker_points[-2::-1])
+    np.testing.assert_allclose(fan[:, 0], picture.overlays.marker_points[[-1] * 9])
 
 
 def test_isolating_hides_the_other_lines_and_dims_what_is_far(session: Session) -> None:
@@ -136,19 +140,19 @@ def test_every_point_has_the_colour_of_its_stage_and_the_funnel_counts_them(sess
     assert sum(counts.values()) == len(colors)
     funnel = {step.name: step for step in snapshot.funnel}
     passed = len(colors) - counts["no_frame"]
-    assert funnel["With a local frame"].count == passed
+    assert funnel["With a frame"].count == passed
     for stage, name in (
-        ("no_partner", "With a true partner"),
-        ("not_mutual", "Mutual match"),
-        ("above_ratio", "Within the ratio"),
-        ("outlier", "Inliers of the estimate"),
+        ("no_partner", "Overlapping"),
+        ("not_mutual", "Mutual"),
+        ("above_ratio", "Ratio"),
+        ("outlier", "Inliers"),
     ):
         passed -= counts[stage]
         assert funnel[name].count == passed
         assert funnel[name].precision == pytest.approx(funnel[name].right / passed)
     assert snapshot.numbers is not None
-    assert funnel["Within the ratio"].count == snapshot.numbers.with_partner
-    assert funnel["Within the ratio"].precision == snapshot.numbers.precision
+    assert funnel["Ratio"].count == snapshot.numbers.with_partner
+    assert funnel["Ratio"].precision == snapshot.numbers.precision
 
 
 def test_filters_show_at_once_while_the_pose_is_still_to_be_estimated(session: Session) -> None:

@@ -213,7 +213,7 @@ def test_filters_only_estimate_the_pose_again(session: Session, monkeypatch: pyt
     snapshot = settle(session, mutual=True, max_ratio=0.97)
     assert counted.calls == ["register_pair"]
     assert snapshot.numbers is not None
-    assert snapshot.funnel[-2].name == "Within the ratio"
+    assert snapshot.funnel[-2].name == "Ratio"
     assert snapshot.funnel[-2].count == snapshot.numbers.with_partner
 
 

@@ -90,7 +90,7 @@ def test_another_dimension_is_matched_and_shown(viewer: Viewer) -> None:
 def test_filters_are_applied_from_the_page(viewer: Viewer) -> None:
     everything = viewer.settle()["numbers"]["matches"]
     viewer.page.get_by_label("Mutual only").check()
-    expect(viewer.page.locator("#funnel")).to_contain_text("Mutual match")
+    expect(viewer.page.locator("#funnel")).to_contain_text("Mutual")
     assert viewer.settle()["numbers"]["matches"] < everything
 
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cgf.descriptors.network import load_network
 from cgf.descriptors.spherical_histogram import histogram_grid
 from cgf.evaluation.metrics import has_partner
 from cgf.geometry import transforms
@@ -88,7 +89,8 @@ def test_frame_and_histogram_are_those_of_the_descriptor(result: PairResult) -> 
     frame, _ = estimate_lrf(cloud.points, cloud.normals, np.array([7]), radius=settings.lrf_radius)
     np.testing.assert_array_equal(found.frame, frame[0])
     grid = histogram_grid(cloud.points, support_radius=settings.support_radius, min_radius=settings.min_radius)
-    expected, counts = grid.histograms(cloud.points[[7]], frame)
+    card = load_network("cgf", settings.model).card
+    expected, counts = grid.histograms(cloud.points[[7]], frame, soft=card.soft)
     assert found.histogram is not None
     np.testing.assert_array_equal(found.histogram.ravel(), expected[0])
     assert found.neighbors == counts[0]
@@ -109,9 +111,10 @@ def test_the_axes_of_the_histogram_are_azimuth_elevation_and_shell(result: PairR
     # Ring 0 holds what lies around +z.
     upper = np.mean(offsets[:, 2] / lengths > np.cos(5 * np.pi / 11))
     assert found.histogram[:, :5].sum() == pytest.approx(upper, abs=1e-5)
-    # The first sector begins at -x and turns towards -y.
-    assert found.histogram[:6].sum() == pytest.approx(np.mean(offsets[:, 1] < 0), abs=1e-5)
-    assert found.histogram[:3].sum() == pytest.approx(np.mean((offsets[:, 1] < 0) & (offsets[:, 0] < 0)), abs=1e-5)
+    # The first sector begins at -x and turns towards -y; neighbours near an edge may count in both sectors beside it.
+    assert found.histogram[:6].sum() == pytest.approx(np.mean(offsets[:, 1] < 0), abs=0.05)
+    quarter = np.mean((offsets[:, 1] < 0) & (offsets[:, 0] < 0))
+    assert found.histogram[:3].sum() == pytest.approx(quarter, abs=0.05)
 
 
 def test_without_a_pose_nothing_is_said_of_errors_and_partner(result: PairResult) -> None:
