@@ -9,6 +9,8 @@ pytestmark = pytest.mark.browser
 
 VISIBLE = "(names) => names.every((name) => window.__viserMutable.nodeRefFromName[name]?.visible)"
 
+TURN = "() => window.__viserMutable.nodeRefFromName['/source'].quaternion.toArray()"
+
 
 def open_tab(viewer: Viewer, name: str) -> None:
     viewer.page.get_by_role("tab", name=name).click()
@@ -32,17 +34,17 @@ def test_a_run_from_the_page_is_listed_and_can_be_shown(viewer: Viewer) -> None:
 
 def test_the_slider_moves_the_source_between_two_poses(viewer: Viewer) -> None:
     page = viewer.page
-    viewer.served.session.change({"layout": "overlaid", "coloring": "original"})
     open_tab(viewer, "Poses")
-    before = viewer.pixels_after(viewer.pixels())
+    before = viewer.frame.evaluate(TURN)
     page.get_by_label("From").select_option("loaded")
     page.get_by_label("To", exact=True).select_option("ground_truth")
     slider = page.get_by_label("Place on the way between the two poses")
     slider.focus()
     slider.press("Home")
     slider.press("PageUp")
-    assert viewer.pixels_after(before) != before
+    viewer.frame.wait_for_function(f"(before) => String(({TURN})()) !== String(before)", arg=before)
     state = viewer.settle()
+    assert state["settings"]["layout"] == "overlaid"
     assert state["pose"] is None
     assert 0 < state["settings"]["pose_share"] < 0.5
     page.keyboard.press("b")
