@@ -30,6 +30,9 @@ class Overlays:
     """(L, 2, 3)."""
     line_colors: Colors
     """(L, 3), as they shall look on the screen."""
+    label_points: Single
+    """(T, 3), where words stand, in front of everything."""
+    label_texts: tuple[str, ...]
     focus: Floats
     """(F, 3), what a camera that looks at the picked point should have in sight; none where nothing is picked."""
 
@@ -56,7 +59,7 @@ class Placement:
 
 NOTHING = Overlays(
     np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), 1.0, np.zeros((0, 2, 3), np.float32),
-    np.zeros((0, 3), np.uint8), np.zeros((0, 3)),
+    np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32), (), np.zeros((0, 3)),
 )  # fmt: skip
 
 
@@ -92,13 +95,17 @@ def draw_overlays(
     if picked.partner is not None:
         colors = np.concatenate([colors, np.array([PARTNER], dtype=np.uint8)])
     fan = np.stack([np.broadcast_to(here, there.shape), there], axis=1)
-    seen = [(picked.point, own), *((item, other) for item in (picked.match, picked.partner) if item is not None)]
+    seen = [(picked.point, own, "picked")]
+    if picked.match is not None:
+        seen.append((picked.match, other, "match"))
+    if picked.partner is not None and (picked.match is None or picked.partner.row != picked.match.row):
+        seen.append((picked.partner, other, "true partner"))
     parts = [(fan, colors)]
-    for surroundings, placement in seen:
+    for surroundings, placement, _ in seen:
         parts.append(_axes(surroundings, placement, resolved.lrf_radius))
         if settings.support_sphere:
             parts.append(_sphere(surroundings, placement, resolved.support_radius))
-    ends = np.concatenate([placement.at([item.row]) for item, placement in seen])
+    ends = np.concatenate([placement.at([item.row]) for item, placement, _ in seen])
     reach = resolved.support_radius * own.scale * np.concatenate([np.eye(3), -np.eye(3)])
     return Overlays(
         # The picked point comes last, so that it lies over a marker at the same place.
@@ -107,6 +114,8 @@ def draw_overlays(
         marker_size=MARKER * resolved.spacing * own.scale,
         line_points=np.concatenate([points for points, _ in parts]).astype(np.float32),
         line_colors=np.concatenate([part for _, part in parts]),
+        label_points=ends.astype(np.float32),
+        label_texts=tuple(text for _, _, text in seen),
         focus=(ends[:, None] + reach).reshape(-1, 3),
     )
 

@@ -165,6 +165,13 @@ class SceneView:
                     "/picked/lines", overlays.line_points, colors, thickness=OVERLAY_PIXELS, thickness_units="screen"
                 )
             )
+        for number, (text, place) in enumerate(zip(overlays.label_texts, overlays.label_points, strict=True)):
+            # Never hidden, unlike the markers.
+            self._overlays.append(
+                self._server.scene.add_label(
+                    f"/picked/label-{number}", text, position=place, font_screen_scale=0.8, anchor="bottom-center"
+                )
+            )
 
     def _set_first_view(self, view: View) -> None:
         """Where tabs start that are opened from now on."""
