@@ -91,13 +91,14 @@ def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float,
 # candidates at a time. What is no neighbour goes into a bin of its own.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
 @no_type_check
-def _find_bins(dx, dy, dz, count, frame, sq_radius, sq_edges, bins):
+def _find_bins(xs, ys, zs, count, center, frame, sq_radius, sq_edges, bins):
     zero = np.float32(0.0)
     for i in range(count):
-        sq_distance = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i]
-        x = dx[i] * frame[0, 0] + dy[i] * frame[0, 1] + dz[i] * frame[0, 2]
-        y = dx[i] * frame[1, 0] + dy[i] * frame[1, 1] + dz[i] * frame[1, 2]
-        z = dx[i] * frame[2, 0] + dy[i] * frame[2, 1] + dz[i] * frame[2, 2]
+        dx, dy, dz = xs[i] - center[0], ys[i] - center[1], zs[i] - center[2]
+        sq_distance = dx * dx + dy * dy + dz * dz
+        x = dx * frame[0, 0] + dy * frame[0, 1] + dz * frame[0, 2]
+        y = dx * frame[1, 0] + dy * frame[1, 1] + dz * frame[1, 2]
+        z = dx * frame[2, 0] + dy * frame[2, 1] + dz * frame[2, 2]
         shell = np.int32(0)
         for k in range(RADIAL_BINS - 1):
             shell += np.int32(sq_distance >= sq_edges[k])
@@ -122,7 +123,7 @@ def _find_bins(dx, dy, dz, count, frame, sq_radius, sq_edges, bins):
 @no_type_check
 def _fill_histograms(centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, soft, rows, counts):
     sq_radius = radius * radius
-    dx, dy, dz = (np.empty(_GATHERED, np.float32), np.empty(_GATHERED, np.float32), np.empty(_GATHERED, np.float32))
+    near = np.empty((3, _GATHERED), np.float32)
     bins = np.empty(_GATHERED, np.int32)
     hits = np.empty(_OUTSIDE + 1, np.float32)
     for k in range(len(centers)):
@@ -146,23 +147,32 @@ def _fill_histograms(centers, frames, xs, ys, zs, starts, shape, cell_size, radi
                 i, end = starts[cell + first_x], starts[cell + last_x + 1]
                 while i < end:
                     taken = min(end - i, _GATHERED - gathered)
-                    for j in range(taken):
-                        dx[gathered + j] = xs[i + j] - px
-                        dy[gathered + j] = ys[i + j] - py
-                        dz[gathered + j] = zs[i + j] - pz
+                    _copy(xs[i : i + taken], near[0, gathered:])
+                    _copy(ys[i : i + taken], near[1, gathered:])
+                    _copy(zs[i : i + taken], near[2, gathered:])
                     i += taken
                     gathered += taken
                     if gathered == _GATHERED:
-                        _find_bins(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, bins)
+                        _find_bins(
+                            near[0], near[1], near[2], gathered, centers[k], frames[k], sq_radius, sq_edges, bins
+                        )
                         for j in range(gathered):
                             hits[bins[j]] += np.float32(1.0)
                         total += gathered
                         gathered = 0
-        _find_bins(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, bins)
+        _find_bins(near[0], near[1], near[2], gathered, centers[k], frames[k], sq_radius, sq_edges, bins)
         for j in range(gathered):
             hits[bins[j]] += np.float32(1.0)
         counts[k] = total + gathered - int(hits[_OUTSIDE])
         _add_half_sectors(hits, np.float32(1.0) / np.float32(max(counts[k], 1)), soft, rows[k])
+
+
+# One array a call: the compiler would have to rule out first that three of them overlap, and copies value by value.
+@njit(cache=True, nogil=True)
+@no_type_check
+def _copy(values, copies):
+    for i in range(len(values)):
+        copies[i] = values[i]
 
 
 @njit(cache=True, nogil=True)
