@@ -41,7 +41,7 @@ def diagnose(case: Case, *, progress: Progress | None = None, cancelled: IsCance
     )
     if progress is not None:
         progress(0.5, "Trying remedies")
-    if measured.outcome != "registered":
+    if remedies.suggestions(measured):
         measured = replace(measured, trials=remedies.seek(measured, cancelled=cancelled))
     findings = rules.judge(measured)
     found = tuple(sorted(findings, key=lambda finding: _SEVERITIES.index(finding.severity)))
