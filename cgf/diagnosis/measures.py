@@ -30,8 +30,6 @@ RELIABLE_STABILITY = 0.008
 """Of the points whose matches agree. Right poses have 0.011 or more; wrong ones, which fit one plane, 0.006 or less."""
 RIGHT = 2.0
 """An estimate is right if it is off by at most so many precision radii over the overlap (RMS): 20 cm in rooms."""
-KEPT = 0.15
-"""Share of the best pose's matches that an estimate must keep; refined right poses keep 0.25 or more."""
 SCALE_SAMPLE = 400
 SCALE_STEP = 0.0125
 
@@ -130,9 +128,7 @@ class Measures:
 
     @property
     def is_estimate_right(self) -> bool:
-        """Whether the estimate is near the true pose, or, where that is all there is, near `pose` and its matches."""
-        if self.case.truth is None and self.estimate is not None and self.estimate.agreeing < KEPT * self.counts[0]:
-            return False
+        """Whether the estimate is near the true pose, or near `pose` where that is all there is."""
         return bool(self.estimate_error <= RIGHT * self.case.settings.precision_radius)
 
 

@@ -26,6 +26,8 @@ FEW_DISTINCTIVE = 0.3
 """Pairs that share half of their points have 0.33 or more, but for one."""
 LOW_PRECISION = 0.1
 """Of matches of points that have a partner; pairs that register have 0.11 or more."""
+KEPT = 0.15
+"""Share of the best pose's matches that a refined estimate keeps; right ones have 0.25 or more, but for one."""
 RIVAL = 0.5
 """Support of the second pose over that of the first; right poses have 0.41 or less, but for two."""
 EQUAL, MANY = 0.7, 60
@@ -95,9 +97,18 @@ def judge_estimator(measured: Measures) -> Finding | None:
     """Whether the estimator missed a pose that the matches give."""
     under = measured.estimate
     agreeing = 0 if under is None else under.agreeing
-    if measured.outcome == "registered":
-        return None
     pose, truth = measured.pose, measured.truth
+    if measured.outcome == "registered":
+        if pose is None or agreeing >= KEPT * measured.counts[0]:
+            return None
+        return finding(
+            "estimator", "estimator", "caution", "The estimate has moved away from most of the matches that agree.",
+            (
+                Evidence("Mutual matches that agree on one pose", measured.counts[0], "count"),
+                Evidence("With the estimate", agreeing, "count", rounded(KEPT * measured.counts[0])),
+            ),
+            "Compare with an estimate from mutual matches only.", {"mutual": True}, 0.7,
+        )  # fmt: skip
     if pose is None and truth is not None and truth.agreeing >= max(RELIABLE_COUNT, RELIABLE_LEAD * agreeing):
         best = truth.agreeing
     elif pose is not None and (truth is None or truth.agreeing > agreeing):
