@@ -39,7 +39,7 @@ def test_commands_are_found_by_words_and_run_by_enter(viewer: Viewer) -> None:
     page = viewer.page
     page.frame_locator("#scene").locator("canvas[data-engine]").click()
     page.keyboard.press("Control+k")
-    page.keyboard.type("colour feat")
+    page.keyboard.type("colour features")
     expect(page.locator("#commands [role=option]")).to_have_count(1)
     page.keyboard.press("Enter")
     expect(page.locator("#commands")).to_be_hidden()
