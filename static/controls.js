@@ -117,7 +117,7 @@ export function listenToControls(page) {
   });
   page.command("mutual", { label: "Mutual matches only, or all", keys: "m", run: () => change({ mutual: !server.chosen().mutual }) });
   for (const [coloring, label] of [["error", "error"], ["features", "features"], ["original", "original colours"],
-    ["stage", "the stage that rejects"], ["distance", "feature distance to the picked point"]]) {
+    ["stage", "the stage that rejects"], ["distance", "distance to the picked point"]]) {
     page.command(`color-${coloring}`, { label: `Colour by ${label}`, run: () => change({ coloring }) });
   }
   page.command("defaults", { label: "All settings back to what suits this pair", run: () => change({ ...DEFAULTS }) });
