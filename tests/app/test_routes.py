@@ -49,8 +49,10 @@ def scene() -> FakeScene:
 
 
 @pytest.fixture(scope="module")
-def app(session: Session, scene: FakeScene) -> FastAPI:
-    return create_app(session, scene, Loader(session, Recent(None)))
+def app(session: Session, scene: FakeScene) -> Iterator[FastAPI]:
+    loader = Loader(session, Recent(None))
+    yield create_app(session, scene, loader)
+    loader.close()
 
 
 def patch(app: FastAPI, body: str) -> Answer:
