@@ -241,7 +241,7 @@ def test_a_click_in_the_scene_picks_the_point_under_it(served: Served) -> None:
         click("up", {"x": 1}),
         click((0.0, 0.0, 5.0), (0.0, 0.0, -1.0), event_type="double-click"),
         click(None, None, event_type="rect-select", screen_pos=()),
-        click(None, None, event_type="rect-select", screen_pos=(("a", "b"), ("c", "d"))),
+        click(None, None, event_type="rect-select", screen_pos=((0.1, 0.2),)),
         click(None, None, event_type="rect-select", screen_pos=((float("inf"), 0.0), (0.0, 0.0))),
     ],
     ids=range(9),
