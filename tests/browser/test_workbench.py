@@ -36,7 +36,7 @@ def test_the_slider_moves_the_source_between_two_poses(viewer: Viewer) -> None:
     page = viewer.page
     open_tab(viewer, "Poses")
     before = viewer.frame.evaluate(TURN)
-    page.get_by_label("From").select_option("loaded")
+    page.get_by_label("From", exact=True).select_option("loaded")
     page.get_by_label("To", exact=True).select_option("ground_truth")
     slider = page.get_by_label("Place on the way between the two poses")
     slider.focus()
