@@ -40,8 +40,8 @@ from cgf.types import Features, PointCloud, Transform
 EXTENT = 4.0
 """The larger cloud's diameter in the picture."""
 FIELD_OF_VIEW = np.radians(40.0)
-POINT_RADIUS = 0.75
-"""Of drawn points, in spacings: just enough to close the surface."""
+POINT_RADIUS = 0.55
+"""Of drawn points, in spacings: nearly closes the surface, and still tells one point from the next."""
 LINE_PIXELS = 1.6
 THIN_LINE_PIXELS = 0.7
 """Of matches beside those of a picked point."""
