@@ -125,7 +125,8 @@ def open_page(served: Served, browser: Browser, width: int, height: int, *, has_
     page.on("websocket", lambda socket: viewer.asked.append(socket.url))
     page.on("pageerror", lambda error: viewer.complaints.append(str(error)))
     page.goto(served.url)
-    expect(page.locator("#pair-names .arrow")).to_be_visible(timeout=LONG_S * 1000)
+    # The names give way to a list where several pairs are open.
+    expect(page.locator("#model")).not_to_be_empty(timeout=LONG_S * 1000)
     return viewer
 
 
