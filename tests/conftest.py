@@ -24,6 +24,11 @@ settings.register_profile(
 settings.load_profile("cgf")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Browser tests come last: their server runs on, and its threads draw from `random`, which hypothesis watches."""
+    items.sort(key=lambda item: item.get_closest_marker("browser") is not None)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _cache_of_its_own(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Programs that tests start neither read nor write what the user's own runs keep."""
