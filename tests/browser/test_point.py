@@ -1,9 +1,12 @@
 """A point picked by a click in the scene, what the panel says of it, and steps through the matches by key."""
 
+import pytest
 from playwright.sync_api import expect
 
 from app.colors import PICKED
 from tests.browser.driving import Viewer, rgb
+
+pytestmark = pytest.mark.browser
 
 SLOW_MS = 60_000
 """Without a graphics card, a change waits for the frame before it."""
