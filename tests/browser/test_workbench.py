@@ -43,6 +43,9 @@ def test_the_slider_moves_the_source_between_two_poses(viewer: Viewer) -> None:
     slider.press("Home")
     slider.press("PageUp")
     viewer.frame.wait_for_function(f"(before) => String(({TURN})()) !== String(before)", arg=before)
+    # The scene turns at the first key already, the state follows the second.
+    moved = "async () => (await (await fetch('api/state')).json()).settings.pose_share > 0"
+    page.wait_for_function(moved)
     state = viewer.settle()
     assert state["settings"]["layout"] == "overlaid"
     assert state["pose"] is None
@@ -60,8 +63,9 @@ def test_residuals_are_coloured_with_their_own_legend(viewer: Viewer) -> None:
     shown = viewer.pixels_after(before)
     legend = viewer.settle()["legend"]
     explained = {rgb(color) for color in legend["ramp"]}
-    # The borders of points are blended with what lies behind them.
-    assert sum(count for color, count in shown.items() if color in explained) > 0.5 * shown.total()
+    # The two clouds are painted one after the other, with a rest between them on a busy machine.
+    while sum(count for color, count in shown.items() if color in explained) <= 0.9 * shown.total():
+        shown = viewer.pixels_after(shown)
     expect(viewer.page.locator("#legend-title")).to_contain_text("Distance to the nearest point of the other cloud")
 
 
