@@ -71,6 +71,9 @@ class Features:
     """One row per entry of `indices`."""
     descriptor: str
     """Name of the descriptor, e.g. `cgf`."""
+    quality: Float32[np.ndarray, "K"] | None = None
+    """How distinctive each feature is, as estimated from itself alone: the probability, in training, that its nearest
+    neighbour was right. None where the descriptor does not say."""
 
     def __len__(self) -> int:
         return len(self.indices)

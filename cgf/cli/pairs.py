@@ -60,6 +60,8 @@ def describe(options: argparse.Namespace) -> int:
         "features": features.vectors,
         "settings": json.dumps(asdict(settings), default=str),
     }
+    if features.quality is not None:
+        arrays["quality"] = features.quality
     write_whole(options.output, lambda file: np.savez_compressed(file, **arrays))
     note(
         options,

@@ -1,7 +1,7 @@
 """Features from spherical histograms: the learned CGF, and their principal components."""
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 from threadpoolctl import threadpool_limits
 
 from cgf.descriptors.device import embed_on_device, requested_device
@@ -68,13 +68,17 @@ class HistogramDescriptor:
             return self._describe_on(device, cloud, rows, frames, progress=progress, cancelled=cancelled)
         grid = histogram_grid(cloud.points, support_radius=settings.support_radius, min_radius=settings.min_radius)
         vectors = np.empty((len(rows), settings.dim), np.float32)
+        quality = np.empty(len(rows), np.float32) if self.network.judges else None
         filled = np.ones(len(rows), dtype=np.bool_)
 
         def fill(part: slice) -> None:
             raise_if_cancelled(cancelled)
             centers = cloud.points[rows[part]]
             histograms, counts = grid.histograms(centers, frames[part], soft=card.soft)
-            vectors[part] = self._shortened(self.network.embed(histograms))
+            embedded, judged = self.network.embed_and_judge(histograms)
+            vectors[part] = self._shortened(embedded)
+            if quality is not None:
+                quality[part] = judged
             filled[part] = counts > 0
 
         def report(done: int) -> None:
@@ -84,7 +88,7 @@ class HistogramDescriptor:
         # Each of our threads multiplies its own matrices: quicker than all of them sharing one product.
         with threadpool_limits(1, user_api="blas"):
             for_each_block(fill, len(rows), block=_BLOCK, finished=report)
-        return Features(rows[filled], vectors[filled], self._name)
+        return self._features(rows, vectors, quality, filled)
 
     def _describe_on(
         self,
@@ -98,8 +102,9 @@ class HistogramDescriptor:
     ) -> Features:
         settings, done = self.settings, 0
         vectors = np.empty((len(rows), settings.dim), np.float32)
+        quality = np.empty(len(rows), np.float32) if self.network.judges else None
         counts = np.empty(len(rows), np.int64)
-        for part, embedded, found in embed_on_device(
+        for part, embedded, judged, found in embed_on_device(
             cloud.points,
             cloud.points[rows],
             frames,
@@ -110,12 +115,23 @@ class HistogramDescriptor:
             cancelled=cancelled,
         ):
             vectors[part], counts[part] = self._shortened(embedded), found
+            if quality is not None:
+                quality[part] = judged
             done += len(part)
             if progress is not None:
                 progress(done / len(rows), "describing points")
-        return Features(rows[counts > 0], vectors[counts > 0], self._name)
+        return self._features(rows, vectors, quality, counts > 0)
+
+    def _features(
+        self,
+        rows: Int64[np.ndarray, "K"],
+        vectors: Float32[np.ndarray, "K d"],
+        quality: Float32[np.ndarray, "K"] | None,
+        kept: Bool[np.ndarray, "K"],
+    ) -> Features:
+        return Features(rows[kept], vectors[kept], self._name, None if quality is None else quality[kept])
 
     def _shortened(self, embedded: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K d"]:
         """The dimensions asked for, of unit length if they come from the learned network."""
         prefix = embedded[:, : self.settings.dim]
-        return unit_rows(prefix) if self.network.card.kind == "azimuth" else prefix
+        return unit_rows(prefix) if self.network.card.nested else prefix

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from cgf.descriptors.network import INPUT_GAIN, Network
+from cgf.descriptors.network import INPUT_GAIN, Network, NetworkKind
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
 from cgf.types import IsCancelled, raise_if_cancelled
 
@@ -50,7 +50,9 @@ def embed_on_device(
     min_radius: float,
     device: str,
     cancelled: IsCancelled | None = None,
-) -> Iterator[tuple[Int64[np.ndarray, "P"], Float32[np.ndarray, "P D"], Int64[np.ndarray, "P"]]]:
+) -> Iterator[
+    tuple[Int64[np.ndarray, "P"], Float32[np.ndarray, "P D"], Float32[np.ndarray, "P"] | None, Int64[np.ndarray, "P"]]
+]:
     """Describe `centers` part by part.
 
     Args:
@@ -64,7 +66,7 @@ def embed_on_device(
         cancelled: Asked between parts.
 
     Yields:
-        Rows of `centers`, their features (all dimensions), and their numbers of neighbours.
+        Rows of `centers`, their features (all dimensions), the quality of each, and their numbers of neighbours.
     """
     import torch
 
@@ -90,10 +92,13 @@ def embed_on_device(
                 for part in torch.split(rows, max(_PAIRS // max(len(near), 1), 1))
             ]
             histograms, counts = (torch.cat(column) for column in zip(*parts, strict=True))
-            vectors = _FORWARD[network.card.kind](histograms, weights)
-            if network.card.kind == "azimuth":
+            card = network.card
+            values = histograms.sqrt() * INPUT_GAIN if card.root else histograms
+            vectors, logits = forward(card.kind, values, weights)
+            if card.nested:
                 vectors = torch.nn.functional.normalize(vectors, dim=1)
-            yield rows.cpu().numpy(), vectors.cpu().numpy(), counts.cpu().numpy()
+            quality = None if logits is None else logits.sigmoid().cpu().numpy()
+            yield rows.cpu().numpy(), vectors.cpu().numpy(), quality, counts.cpu().numpy()
 
 
 def _histograms(
@@ -124,33 +129,42 @@ def _histograms(
     return sectors.reshape(-1, HISTOGRAM_BINS) / counts.clamp(min=1)[:, None], counts
 
 
-def azimuth_forward(histograms: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
-    """Map (K, 2244) histograms to (K, D), not normalised; autograd and autocast work through it."""
+def forward(kind: "NetworkKind", values: "Tensor", weights: "dict[str, Tensor]") -> "tuple[Tensor, Tensor | None]":
+    """Map (K, 2244) histograms, or their roots, to (K, D), not normalised, and (K,) logits of the quality.
+
+    Autograd and autocast work through it; the quality's gradient stops at the layer that it shares with the features.
+    """
+    from torch.nn.functional import linear, relu
+
+    if kind == "pca":
+        return (values - weights["mean"]) @ weights["components"].T, None
+    hidden = _azimuth_hidden(values, weights) if kind == "azimuth" else _paper_hidden(values, weights)
+    vectors = linear(hidden, weights["out.weight"], weights["out.bias"])
+    if "quality.0.bias" not in weights:
+        return vectors, None
+    judged = relu(linear(hidden.detach(), weights["quality.0.weight"], weights["quality.0.bias"]))
+    return vectors, linear(judged, weights["quality.1.weight"], weights["quality.1.bias"])[:, 0]
+
+
+def _azimuth_hidden(roots: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
     import torch
     from torch.nn.functional import linear, relu
 
-    columns = histograms.sqrt().view(len(histograms), AZIMUTH_BINS, -1) * INPUT_GAIN
+    # Azimuth first, so that turning it moves whole blocks.
+    columns = roots.view(len(roots), AZIMUTH_BINS, -1).transpose(0, 1).contiguous()
     for i in range(3):
-        # As roll, concat and linear: a circular convolution of torch is nine times slower on processors.
-        neighbors = torch.cat([columns.roll(1, dims=1), columns, columns.roll(-1, dims=1)], dim=2)
-        columns = relu(linear(neighbors, weights[f"columns.{i}.weight"], weights[f"columns.{i}.bias"]))
-    pooled = torch.cat([columns.amax(dim=1), columns.mean(dim=1)], dim=1)
-    hidden = relu(linear(pooled, weights["hidden.weight"], weights["hidden.bias"]))
-    return linear(hidden, weights["out.weight"], weights["out.bias"])
+        # As linear and roll: a circular convolution of torch is nine times slower on processors.
+        weight, bias = weights[f"columns.{i}.weight"], weights[f"columns.{i}.bias"]
+        taps = weight.view(len(weight), 3, -1).transpose(0, 1).reshape(3 * len(weight), -1)
+        before, same, after = torch.chunk(linear(columns, taps), 3, dim=2)
+        columns = relu(before.roll(1, dims=0) + same + after.roll(-1, dims=0) + bias)
+    pooled = torch.cat([columns.amax(dim=0), columns.mean(dim=0)], dim=1)
+    return relu(linear(pooled, weights["hidden.weight"], weights["hidden.bias"]))
 
 
-def paper_forward(histograms: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
-    """Map (K, 2244) histograms to (K, D) by the paper's five hidden layers."""
+def _paper_hidden(values: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
     from torch.nn.functional import linear, relu
 
-    values = histograms
     for i in range(5):
         values = relu(linear(values, weights[f"layers.{i}.weight"], weights[f"layers.{i}.bias"]))
-    return linear(values, weights["layers.5.weight"], weights["layers.5.bias"])
-
-
-def _pca_forward(histograms: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
-    return (histograms - weights["mean"]) @ weights["components"].T
-
-
-_FORWARD = {"azimuth": azimuth_forward, "paper": paper_forward, "pca": _pca_forward}
+    return values

@@ -54,6 +54,11 @@ class NetworkCard:
     scores: dict[str, float] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
 
+    root: bool = True
+    """Whether the network takes the square root of the histogram, times `INPUT_GAIN`."""
+    nested: bool = True
+    """Whether features are compared at unit length, and those of fewer dimensions are prefixes of those of more."""
+
     @property
     def soft(self) -> bool:
         """Whether the network takes histograms with soft azimuth sectors."""
@@ -81,6 +86,9 @@ class NetworkCard:
         """
         try:
             values = json.loads(text)
+            # Cards written before these two could be chosen.
+            learned = dict.fromkeys(("root", "nested"), values["kind"] == "azimuth")
+            values = learned | values
             values["dims"], values["voxel_sizes"] = tuple(values["dims"]), tuple(values["voxel_sizes"])
             return cls(**values)
         except (KeyError, TypeError, json.JSONDecodeError) as error:
@@ -107,9 +115,32 @@ class Network:
     def embed(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K D"]:
         """Map histograms, whose rows sum to 1, to vectors of the largest of the card's dimensions.
 
-        Those of the `azimuth` network are unit length, and so is every prefix once it is divided by its length.
+        Nested ones are unit length, and so is every prefix once it is divided by its length.
         """
-        return _EMBED[self.card.kind](histograms, self._prepared)
+        return self.embed_and_judge(histograms)[0]
+
+    def embed_and_judge(
+        self, histograms: Float32[np.ndarray, "K 2244"]
+    ) -> tuple[Float32[np.ndarray, "K D"], Float32[np.ndarray, "K"] | None]:
+        """The vectors of `embed`, and the quality of each as in `Features.quality`, if the network was taught it."""
+        weights = self.weights
+        if self.card.kind == "pca":
+            # Projection on the principal components of training histograms: the paper's linear baseline.
+            return (histograms - weights["mean"]) @ weights["components"].T, None
+        values = np.sqrt(histograms) * np.float32(INPUT_GAIN) if self.card.root else histograms
+        hidden = _HIDDEN[self.card.kind](values, self._prepared)
+        vectors = _linear(hidden, weights, "out")
+        if self.card.nested:
+            vectors = unit_rows(vectors)
+        if not self.judges:
+            return vectors, None
+        logits = _linear(_linear_relu(hidden, weights, "quality.0"), weights, "quality.1")[:, 0]
+        return vectors, 1 / (1 + np.exp(-logits))
+
+    @property
+    def judges(self) -> bool:
+        """Whether the network was taught the quality of its features."""
+        return "quality.0.bias" in self.weights
 
     @cached_property
     def _prepared(self) -> Weights:
@@ -123,27 +154,27 @@ class Network:
 
 def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:
     """Shape of every array that a network of this kind needs; widths of hidden layers are read off `weights`."""
-    out = card.dims[-1]
+    dim = card.dims[-1]
     if card.kind == "pca":
-        return {"mean": (HISTOGRAM_BINS,), "components": (out, HISTOGRAM_BINS)}
+        return {"mean": (HISTOGRAM_BINS,), "components": (dim, HISTOGRAM_BINS)}
     if card.kind == "paper":
-        widths = [HISTOGRAM_BINS, *[512] * 5, out]
-        layers = list(pairwise(widths))
-        return {f"layers.{i}.weight": (b, a) for i, (a, b) in enumerate(layers)} | {
-            f"layers.{i}.bias": (b,) for i, (_, b) in enumerate(layers)
-        }
-    shapes: dict[str, tuple[int, ...]] = {}
-    width = COLUMN_BINS
-    for i in range(3):
-        after = len(weights.get(f"columns.{i}.bias", ()))
-        shapes |= {f"columns.{i}.weight": (after, 3 * width), f"columns.{i}.bias": (after,)}
-        width = after
-    hidden = len(weights.get("hidden.bias", ()))
-    return shapes | {
-        "hidden.weight": (hidden, 2 * width),
-        "hidden.bias": (hidden,),
-        "out.weight": (out, hidden),
-        "out.bias": (out,),
+        shapes = _layers({f"layers.{i}": shape for i, shape in enumerate(pairwise([HISTOGRAM_BINS, *[512] * 5]))})
+        hidden = 512
+    else:
+        widths = [COLUMN_BINS, *(len(weights.get(f"columns.{i}.bias", ())) for i in range(3))]
+        hidden = len(weights.get("hidden.bias", ()))
+        shapes = _layers({f"columns.{i}": (3 * a, b) for i, (a, b) in enumerate(pairwise(widths))})
+        shapes |= _layers({"hidden": (2 * widths[-1], hidden)})
+    if "quality.0.bias" in weights:
+        judged = len(weights["quality.0.bias"])
+        shapes |= _layers({"quality.0": (hidden, judged), "quality.1": (judged, 1)})
+    return shapes | _layers({"out": (hidden, dim)})
+
+
+def _layers(widths: dict[str, tuple[int, int]]) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of linear layers, given their inputs and outputs."""
+    return {f"{name}.weight": (b, a) for name, (a, b) in widths.items()} | {
+        f"{name}.bias": (b,) for name, (_, b) in widths.items()
     }
 
 
@@ -153,38 +184,37 @@ def unit_rows(vectors: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K D"]
     return vectors / np.where(length > 0, length, np.float32(1.0))
 
 
-def _embed_azimuth(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
+def _azimuth_hidden(roots: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K H"]:
     """Circular convolutions over the 12 azimuth columns, then their maximum and mean: turning x changes little."""
     # Compiled, so imported only where features are computed: reading a card takes no time.
     from cgf.descriptors.convolution import convolve_circularly
 
-    columns = np.sqrt(histograms) * np.float32(INPUT_GAIN)
     # Azimuth first, so that a column of all points is one matrix.
-    columns = np.ascontiguousarray(columns.reshape(-1, AZIMUTH_BINS, COLUMN_BINS).transpose(1, 0, 2))
+    columns = np.ascontiguousarray(roots.reshape(-1, AZIMUTH_BINS, COLUMN_BINS).transpose(1, 0, 2))
     for i in range(3):
         columns = convolve_circularly(columns, weights[f"tiles.{i}"], weights[f"columns.{i}.bias"])
     pooled = np.concatenate([columns.max(axis=0), columns.mean(axis=0)], axis=1)
-    hidden = np.maximum(pooled @ weights["hidden.weight"].T + weights["hidden.bias"], 0)
-    return unit_rows(hidden @ weights["out.weight"].T + weights["out.bias"])
+    return _linear_relu(pooled, weights, "hidden")
 
 
-def _embed_paper(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
+def _paper_hidden(values: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K 512"]:
     """Five hidden layers of 512 with max(., 0), as in section 5 of the paper."""
-    values = histograms
     for i in range(5):
-        values = np.maximum(values @ weights[f"layers.{i}.weight"].T + weights[f"layers.{i}.bias"], 0)
-    return values @ weights["layers.5.weight"].T + weights["layers.5.bias"]
+        values = _linear_relu(values, weights, f"layers.{i}")
+    return values
 
 
-def _embed_pca(histograms: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K D"]:
-    """Projection on the principal components of training histograms: the paper's linear baseline."""
-    return (histograms - weights["mean"]) @ weights["components"].T
+def _linear_relu(values: Float32[np.ndarray, "K A"], weights: Weights, name: str) -> Float32[np.ndarray, "K B"]:
+    return np.maximum(_linear(values, weights, name), 0)
 
 
-_EMBED: dict[NetworkKind, Callable[[np.ndarray, Weights], np.ndarray]] = {
-    "azimuth": _embed_azimuth,
-    "paper": _embed_paper,
-    "pca": _embed_pca,
+def _linear(values: Float32[np.ndarray, "K A"], weights: Weights, name: str) -> Float32[np.ndarray, "K B"]:
+    return values @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
+
+
+_HIDDEN: dict[NetworkKind, Callable[[np.ndarray, Weights], np.ndarray]] = {
+    "azimuth": _azimuth_hidden,
+    "paper": _paper_hidden,
 }
 
 

@@ -148,7 +148,7 @@ def code_version() -> bytes:
 @lru_cache(maxsize=8)
 def _network_digest(network: Network) -> bytes:
     digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
-    _add(digest.update, network.card.kind, network.card.frame)
+    _add(digest.update, network.card.to_json())
     for name in sorted(network.weights):
         _add(digest.update, name, network.weights[name])
     return digest.digest()
@@ -168,9 +168,10 @@ def describe_cached(
     key = feature_key(cloud, settings)
     arrays = cache.get(key)
     if arrays is not None:
-        return Features(arrays["indices"], arrays["vectors"], settings.descriptor)
+        return Features(arrays["indices"], arrays["vectors"], settings.descriptor, arrays.get("quality"))
     features = describe(cloud, settings, progress=progress, cancelled=cancelled)
-    cache.put(key, {"indices": features.indices, "vectors": features.vectors})
+    arrays = {"indices": features.indices, "vectors": features.vectors}
+    cache.put(key, arrays if features.quality is None else arrays | {"quality": features.quality})
     return features
 
 

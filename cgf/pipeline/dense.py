@@ -61,6 +61,7 @@ def interpolate(
     tree = build_tree(prepared.points[features.indices])
     count = min(_NEIGHBORS, len(features))
     vectors = np.empty((len(points), features.dim), dtype=np.float32)
+    quality = None if features.quality is None else np.empty(len(points), dtype=np.float32)
     near = np.zeros(len(points), dtype=np.bool_)
     for start in range(0, len(points), _BLOCK):
         part = slice(start, start + _BLOCK)
@@ -74,11 +75,18 @@ def interpolate(
         np.multiply(features.vectors[rows[:, 0]], weights[:, :1], out=block)
         for neighbor in range(1, count):
             block += features.vectors[rows[:, neighbor]] * weights[:, neighbor : neighbor + 1]
+        if quality is not None and features.quality is not None:
+            quality[part] = (features.quality[rows] * weights).sum(axis=1)
         if features.descriptor in descriptors.NESTED:
             inside = distances[:, 0] > 0
             block[inside] = unit_rows(block[inside])
     indices = np.flatnonzero(near)
-    return Features(indices, vectors if near.all() else vectors[near], features.descriptor)
+    return Features(
+        indices,
+        vectors if near.all() else vectors[near],
+        features.descriptor,
+        None if quality is None else quality[near],
+    )
 
 
 def nearest_described(

@@ -1,4 +1,4 @@
-"""The two objectives: the paper's triplet loss, and a contrastive loss over nested dimensions."""
+"""The objectives: the paper's triplet loss, a contrastive loss over nested dimensions, and that of the quality."""
 
 import torch
 from torch import Tensor
@@ -41,3 +41,22 @@ def contrastive_loss(
         logits = (a @ b.T / temperature).masked_fill(ignored, float("-inf"))
         total = total + functional.cross_entropy(logits, rows) + functional.cross_entropy(logits.T, rows)
     return total / (2 * len(dims))
+
+
+def quality_loss(logits: Tensor, sources: Tensor, targets: Tensor, ignored: Tensor) -> Tensor:
+    """Cross-entropy of the estimated quality: is the nearest feature of the other side the corresponding one?
+
+    It teaches the estimate alone: no gradient goes to the features.
+
+    Args:
+        logits: (2 B,) of the sources, then of the targets.
+        sources: (B, D) features; row i corresponds to row i of `targets`.
+        targets: (B, D).
+        ignored: As for `contrastive_loss`.
+    """
+    with torch.no_grad():
+        a, b = functional.normalize(sources, dim=1), functional.normalize(targets, dim=1)
+        similarities = (a @ b.T).masked_fill(ignored, float("-inf"))
+        rows = torch.arange(len(sources), device=sources.device)
+        right = torch.cat([similarities.argmax(dim=1) == rows, similarities.argmax(dim=0) == rows])
+    return functional.binary_cross_entropy_with_logits(logits, right.float())

@@ -2,43 +2,55 @@
 
 from itertools import pairwise
 
+import torch
 from torch import Tensor, nn
 
-from cgf.descriptors.device import azimuth_forward, paper_forward
-from cgf.descriptors.network import COLUMN_BINS
+from cgf.descriptors.device import forward
+from cgf.descriptors.network import COLUMN_BINS, INPUT_GAIN, NetworkKind
 from cgf.descriptors.settings import HISTOGRAM_BINS
 
+_JUDGE_WIDTH = 64
 
-class AzimuthNetwork(nn.Module):
-    """Three circular convolutions over azimuth columns, maximum and mean over them, two linear layers.
+
+class FeatureNetwork(nn.Module):
+    """What the networks share: the input's square root, the last linear layer, and the estimate of quality.
 
     The output is not normalised: the loss and `Network.embed` divide the prefixes by their lengths.
     """
 
-    def __init__(self, dim: int, *, width: int) -> None:
+    def __init__(self, kind: NetworkKind, *, hidden: int, dim: int, root: bool, judges: bool) -> None:
         super().__init__()
+        self.kind, self.root = kind, root
+        self.out = nn.Linear(hidden, dim)
+        if judges:
+            self.quality = nn.ModuleList([nn.Linear(hidden, _JUDGE_WIDTH), nn.Linear(_JUDGE_WIDTH, 1)])
+
+    def forward(self, histograms: Tensor) -> Tensor:
+        """Map (K, 2244) histograms to (K, dim), and where quality is judged to (K, dim + 1): the last is its logit."""
+        values = histograms.sqrt() * INPUT_GAIN if self.root else histograms
+        vectors, logits = forward(self.kind, values, dict(self.named_parameters()))
+        return vectors if logits is None else torch.cat([vectors, logits[:, None]], dim=1)
+
+
+class AzimuthNetwork(FeatureNetwork):
+    """Three circular convolutions over azimuth columns, maximum and mean over them, two linear layers.
+
+    It takes the roots of histograms with soft azimuth sectors.
+    """
+
+    def __init__(self, dim: int, *, width: int, judges: bool = True) -> None:
+        super().__init__("azimuth", hidden=2 * width, dim=dim, root=True, judges=judges)
         widths = [COLUMN_BINS, width, width, width]
         self.columns = nn.ModuleList(nn.Linear(3 * a, b) for a, b in pairwise(widths))
         self.hidden = nn.Linear(2 * width, 2 * width)
-        self.out = nn.Linear(2 * width, dim)
-
-    def forward(self, histograms: Tensor) -> Tensor:
-        """Map (K, 2244) histograms, of soft azimuth sectors, to (K, dim)."""
-        return azimuth_forward(histograms, dict(self.named_parameters()))
 
 
-class PaperNetwork(nn.Module):
+class PaperNetwork(FeatureNetwork):
     """Five hidden layers of 512, initialised as in the paper: normal weights of deviation 0.1."""
 
-    def __init__(self, dim: int) -> None:
-        super().__init__()
-        widths = [HISTOGRAM_BINS, *[512] * 5, dim]
-        layers = [nn.Linear(a, b) for a, b in pairwise(widths)]
-        for layer in layers:
+    def __init__(self, dim: int, *, root: bool = False) -> None:
+        super().__init__("paper", hidden=512, dim=dim, root=root, judges=False)
+        self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise([HISTOGRAM_BINS, *[512] * 5]))
+        for layer in [*self.layers, self.out]:
             nn.init.normal_(layer.weight, std=0.1)
             nn.init.zeros_(layer.bias)
-        self.layers = nn.ModuleList(layers)
-
-    def forward(self, histograms: Tensor) -> Tensor:
-        """Map (K, 2244) histograms to (K, dim)."""
-        return paper_forward(histograms, dict(self.named_parameters()))

@@ -14,7 +14,7 @@ from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults
 from cgf.training.batches import Augmentation, Batch, Batches
 from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
 from cgf.training.loop import LoopSettings, train
-from cgf.training.loss import contrastive_loss, triplet_loss
+from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss
 from cgf.training.modules import AzimuthNetwork, PaperNetwork
 from cgf.training.settings import TrainSettings
 from cgf.training.triplets import TripletBatch, Triplets
@@ -119,7 +119,9 @@ def _contrastive(
         features = embed(torch.from_numpy(np.concatenate([batch.source, batch.target])))
         ignored = torch.from_numpy(batch.ignored)
         source, target = features[: len(ignored)], features[len(ignored) :]
-        return contrastive_loss(source, target, ignored, dims=settings.dims, temperature=settings.temperature)
+        loss = contrastive_loss(source, target, ignored, dims=settings.dims, temperature=settings.temperature)
+        judged = _judged_dim(settings.dims)
+        return loss + quality_loss(features[:, -1], source[:, :judged], target[:, :judged], ignored)
 
     loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
     loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
@@ -127,6 +129,11 @@ def _contrastive(
     folder = settings.output.with_suffix("")
     module = train(network, draw=batches.draw, loss_of=loss_of, settings=loop, folder=folder, progress=progress)
     return _Trained("azimuth", _weights(module), loop.steps)
+
+
+def _judged_dim(dims: tuple[int, ...]) -> int:
+    """The dimensions in which quality is judged: 32, the default of the descriptor, or what comes nearest."""
+    return min(dims, key=lambda dim: abs(dim - 32))
 
 
 def _paper(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> _Trained:

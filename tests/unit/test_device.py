@@ -37,8 +37,9 @@ def test_features_are_those_of_the_processor(name, device):
         min_radius=SETTINGS.min_radius,
         device=device,
     )
-    for part, vectors, counts in parts:
+    for part, vectors, quality, counts in parts:
         found[part] = vectors
+        assert quality is None or len(quality) == len(part)
         assert (counts > 0).all()
     found = found[:, :32]
     if name == "cgf":

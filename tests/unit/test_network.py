@@ -26,7 +26,7 @@ AZIMUTH = NetworkCard(
     lrf_radius=0.02,
     voxel_sizes=(0.006,),
 )
-PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper")
+PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", root=False, nested=False)
 
 
 def torch_network(kind):
@@ -50,8 +50,12 @@ def test_inference_equals_torch(kind):
 
     module, network = torch_network(kind)
     expected = module(torch.from_numpy(histograms())).detach().numpy()
-    found = network.embed(histograms())
-    np.testing.assert_allclose(found, unit_rows(expected) if kind == "azimuth" else expected, rtol=2e-3, atol=2e-5)
+    vectors, quality = network.embed_and_judge(histograms())
+    azimuth = kind == "azimuth"
+    np.testing.assert_allclose(vectors, unit_rows(expected[:, :16]) if azimuth else expected, rtol=2e-3, atol=2e-5)
+    assert (quality is not None) == azimuth
+    if azimuth:
+        np.testing.assert_allclose(quality, 1 / (1 + np.exp(-expected[:, 16])), atol=1e-5)
 
 
 def test_turning_by_a_sector_changes_nothing():

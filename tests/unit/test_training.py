@@ -14,7 +14,7 @@ from cgf.descriptors.settings import MODEL_DEFAULTS  # noqa: E402
 from cgf.training import recipes  # noqa: E402
 from cgf.training.batches import Augmentation, Batches  # noqa: E402
 from cgf.training.fragments import Fragments, Overlap, fragments_of_meshes  # noqa: E402
-from cgf.training.loss import contrastive_loss, triplet_loss  # noqa: E402
+from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss  # noqa: E402
 from cgf.training.overlap import overlapping_pairs  # noqa: E402
 from cgf.training.recipes import run  # noqa: E402
 from cgf.training.render import view_directions  # noqa: E402
@@ -112,6 +112,19 @@ def test_contrastive_loss_does_not_see_what_is_ignored():
     by_hand = -(logits.log_softmax(1).diag().mean() + logits.log_softmax(0).diag().mean()) / 2
     found = contrastive_loss(source, target, torch.zeros_like(ignored), dims=(8,), temperature=0.1)
     assert float(found) == pytest.approx(float(by_hand))
+
+
+def test_quality_is_taught_which_features_find_their_partner():
+    sources = torch.eye(3)
+    targets = torch.tensor([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]], requires_grad=True)
+    ignored = torch.zeros(3, 3, dtype=torch.bool)
+    certain = torch.tensor([9.0, -9, -9, 9, -9, -9], requires_grad=True)
+    loss = quality_loss(certain, sources, targets, ignored)
+    assert loss < 1e-3
+    assert quality_loss(-certain, sources, targets, ignored) > 8
+    loss.backward()
+    assert certain.grad is not None
+    assert targets.grad is None
 
 
 def test_batches_depend_on_their_number_alone(fragments):
