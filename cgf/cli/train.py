@@ -46,6 +46,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     recipe.add_argument("--seed", type=int, metavar="N", help="same seed and threads, same weights (default: 1)")
     machine = parser.add_argument_group("machine")
     machine.add_argument("--precision", choices=("bfloat16", "float32"), help="bfloat16 is quick where there is AMX")
+    machine.add_argument(
+        "--device",
+        choices=("auto", "cpu", "cuda", "mps"),
+        help="where the network is trained; auto takes a GPU where there is one (default: cpu)",
+    )
     machine.add_argument("--threads", type=int, metavar="N", help="of torch (default: 1)")
     machine.add_argument("--checkpoint-every", type=int, metavar="N", help="minibatches between checkpoints")
 

@@ -17,10 +17,13 @@ from cgf.types import PointCloud
 class Batch:
     """Histograms of corresponding points: row i of the source belongs to row i of the target."""
 
-    source: Float32[np.ndarray, "B 2244"]
-    target: Float32[np.ndarray, "B 2244"]
+    source: Float32[np.ndarray, "S 2244"]
+    target: Float32[np.ndarray, "S 2244"]
     ignored: Bool[np.ndarray, "B B"]
-    """Entries that are no negatives: near the true partner, or from another overlap of the same scene."""
+    """Entries that are no negatives: near the true partner, or from another overlap of the same scene.
+
+    Of the whole batch, of which the histograms may be one process's share.
+    """
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,13 @@ class Batches:
         per_batch: int,
         augmentation: Augmentation,
         seed: int,
+        share: slice = slice(None),
     ) -> None:
+        """`share` says which of the `per_batch` overlaps' histograms are computed; others do without."""
         self.fragments = fragments
         self.support_radius, self.min_radius, self.tau = support_radius, min_radius, tau
         self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
+        self._own = range(per_batch)[share]
         self._scenes: dict[int, list[Overlap]] = {}
         for overlap in fragments.overlaps:
             self._scenes.setdefault(overlap.scene, []).append(overlap)
@@ -60,24 +66,19 @@ class Batches:
 
     def draw(self, step: int) -> Batch:
         """Batch number `step`."""
-        rng = np.random.default_rng([self.seed, 7, step])
         share = self.size // self.per_batch
         sources: list[np.ndarray] = []
         targets, positions, partners, scenes = [], [], [], []
-        while len(sources) < self.per_batch:
-            scene = int(rng.choice(list(self._scenes)))
-            overlap = self._scenes[scene][int(rng.integers(len(self._scenes[scene])))]
-            if rng.random() < 0.5:
-                overlap = _reversed(overlap)
-            found = self._correspondences(overlap, share, rng)
-            if found is None:
-                continue
-            rows, partner_rows = found
+        for number in range(self.per_batch):
+            # Its own, so that no overlap depends on what was drawn for the others.
+            rng = np.random.default_rng([self.seed, 7, step, number])
+            scene, overlap, rows, partner_rows = self._overlap(share, rng)
             source, target = self.fragments.clouds[overlap.source], self.fragments.clouds[overlap.target]
-            jitter = self.augmentation.radius_jitter
-            factor = rng.uniform(1 - jitter, 1 + jitter)
-            sources.append(self._histograms(source, rows, factor, rng))
-            targets.append(self._histograms(target, partner_rows, factor, rng))
+            if number in self._own:
+                jitter = self.augmentation.radius_jitter
+                factor = rng.uniform(1 - jitter, 1 + jitter)
+                sources.append(self._histograms(source, rows, factor, rng))
+                targets.append(self._histograms(target, partner_rows, factor, rng))
             positions.append(apply(overlap.target_from_source, source.points[rows]))
             partners.append(target.points[partner_rows])
             scenes.append(scene)
@@ -87,6 +88,17 @@ class Batches:
             ignored[block, block] = np.linalg.norm(moved[:, None] - true[None], axis=2) < 1.5 * self.tau
         np.fill_diagonal(ignored, False)
         return Batch(np.concatenate(sources), np.concatenate(targets), ignored)
+
+    def _overlap(self, count: int, rng: np.random.Generator) -> tuple[int, Overlap, np.ndarray, np.ndarray]:
+        """An overlap of a random scene, with rows of `count` correspondences."""
+        while True:
+            scene = int(rng.choice(list(self._scenes)))
+            overlap = self._scenes[scene][int(rng.integers(len(self._scenes[scene])))]
+            if rng.random() < 0.5:
+                overlap = _reversed(overlap)
+            found = self._correspondences(overlap, count, rng)
+            if found is not None:
+                return scene, overlap, *found
 
     def _correspondences(
         self, overlap: Overlap, count: int, rng: np.random.Generator

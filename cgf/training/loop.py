@@ -1,6 +1,7 @@
 """The training loop: batches, optimiser, checkpoints that resume to the bit."""
 
 import json
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from cgf.checks import InputError
+from cgf.training.distributed import Processes
 from cgf.types import Progress
 
 BatchT = TypeVar("BatchT")
@@ -41,39 +43,45 @@ def train(
     loss_of: Callable[[Callable[[Tensor], Tensor], BatchT], Tensor],
     settings: LoopSettings,
     folder: Path,
+    processes: Processes,
     progress: Progress,
 ) -> nn.Module:
     """Optimise `network` and return the module to export; `loss_of` is given the network and a batch.
 
     Batch `step` is `draw(step)` and depends on nothing else, so a run killed at any moment continues from its last
-    checkpoint exactly as if it had not been; `log.jsonl` in `folder` keeps the losses.
+    checkpoint exactly as if it had not been; `log.jsonl` in `folder` keeps the losses. Of several processes, each is
+    given its own part of the batch, and the first writes the files.
 
     Raises:
         InputError: The checkpoint in `folder` belongs to other settings.
         FloatingPointError: The loss is no longer finite.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    network.to(processes.device)
     averaged = torch.optim.swa_utils.AveragedModel(network, multi_avg_fn=_moving_average(settings.average))
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=settings.learning_rate, betas=(0.9, 0.999), weight_decay=settings.weight_decay
     )
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: _rate(step, settings))
     parts: dict[str, Any] = {"network": network, "averaged": averaged, "optimizer": optimizer, "schedule": schedule}
-    first = _resume(folder / "checkpoint.pt", parts, settings)
-    _truncate_log(folder / "log.jsonl", first)
+    first = _resume(folder / "checkpoint.pt", parts, settings, processes)
+    if processes.is_first:
+        folder.mkdir(parents=True, exist_ok=True)
+        _truncate_log(folder / "log.jsonl", first)
+    parallel = processes.parallel(network)
 
     def embed(histograms: Tensor) -> Tensor:
-        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=settings.low_precision):
-            features: Tensor = network(histograms)
+        with torch.autocast(processes.device.type, dtype=torch.bfloat16, enabled=settings.low_precision):
+            features: Tensor = parallel(histograms.to(processes.device))
         return features.float()
 
-    with ThreadPoolExecutor(1) as pool, (folder / "log.jsonl").open("a") as log:
+    log_path = folder / "log.jsonl" if processes.is_first else Path(os.devnull)
+    with ThreadPoolExecutor(1) as pool, log_path.open("a") as log:
         coming = pool.submit(draw, first)
         for step in range(first, settings.steps):
             batch = coming.result()
             coming = pool.submit(draw, min(step + 1, settings.steps - 1))
             loss = loss_of(embed, batch)
-            value = float(loss.detach())
+            value = processes.mean(loss)
             if not value == value or abs(value) == float("inf"):
                 raise FloatingPointError(f"the loss is {value} at step {step}; lower --learning-rate and start again")
             optimizer.zero_grad(set_to_none=True)
@@ -83,7 +91,8 @@ def train(
             averaged.update_parameters(network)
             log.write(json.dumps({"step": step, "loss": value}) + "\n")
             progress((step + 1) / settings.steps, f"step {step + 1} of {settings.steps}, loss {value:.3f}")
-            if (step + 1) % settings.checkpoint_every == 0 or step + 1 == settings.steps:
+            due = (step + 1) % settings.checkpoint_every == 0 or step + 1 == settings.steps
+            if due and processes.is_first:
                 log.flush()
                 _save(folder / "checkpoint.pt", parts, step + 1, settings)
     module = averaged.module if settings.average > 0 else network
@@ -121,11 +130,14 @@ def _save(path: Path, parts: dict[str, Any], step: int, settings: LoopSettings) 
     partial.replace(path)
 
 
-def _resume(path: Path, parts: dict[str, Any], settings: LoopSettings) -> int:
-    """Load the checkpoint, if there is one, and return the step to go on with."""
-    if not path.is_file():
+def _resume(path: Path, parts: dict[str, Any], settings: LoopSettings, processes: Processes) -> int:
+    """Load the first process's checkpoint, if there is one, and return the step to go on with."""
+    state = None
+    if processes.is_first and path.is_file():
+        state = torch.load(path, weights_only=True, map_location="cpu")
+    state = processes.from_first(state)
+    if state is None:
         return 0
-    state = torch.load(path, weights_only=True)
     if state["fingerprint"] != settings.fingerprint:
         raise InputError(
             f"{path} belongs to a run with other settings or data; give another --output, or remove that folder"

@@ -9,9 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cgf.checks import InputError
 from cgf.descriptors.network import Network, NetworkCard, NetworkKind, write_network
 from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults
 from cgf.training.batches import Augmentation, Batch, Batches
+from cgf.training.distributed import Processes, started
 from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
 from cgf.training.loop import LoopSettings, train
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss
@@ -42,8 +44,9 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
     defaults = MODEL_DEFAULTS[settings.model]
-    fragments = _fragments(settings, defaults, progress)
-    trained = _TRAIN[settings.recipe](settings, defaults, fragments, progress)
+    with started(settings.device) as processes:
+        fragments = _fragments(settings, defaults, progress)
+        trained = _TRAIN[settings.recipe](settings, defaults, fragments, processes, progress)
     contrastive = settings.recipe == "contrastive"
     frame: FrameKind = "normal" if contrastive else "paper"
     card = NetworkCard(
@@ -69,7 +72,8 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
         },
     )
     network = Network(card, trained.weights)
-    write_network(settings.output, network)
+    if processes.is_first:
+        write_network(settings.output, network)
     return network
 
 
@@ -90,10 +94,9 @@ def _fragments(settings: TrainSettings, defaults: ModelDefaults, progress: Progr
 
 
 def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
-    """Changes with everything that changes the course of training."""
-    values = {
-        name: str(value) for name, value in asdict(settings).items() if name not in {"output", "checkpoint_every"}
-    }
+    """Changes with everything that changes the course of training by more than rounding."""
+    apart = {"output", "checkpoint_every", "device"}
+    values = {name: str(value) for name, value in asdict(settings).items() if name not in apart}
     values |= {name: str(value) for name, value in asdict(MODEL_DEFAULTS[settings.model]).items()}
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
     for cloud in fragments.clouds:
@@ -102,7 +105,7 @@ def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
 
 
 def _contrastive(
-    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, processes: Processes, progress: Progress
 ) -> _Trained:
     batches = Batches(
         fragments,
@@ -113,21 +116,30 @@ def _contrastive(
         per_batch=settings.overlaps_per_batch,
         augmentation=Augmentation(),
         seed=settings.seed,
+        share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
     )
 
     def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:
         features = embed(torch.from_numpy(np.concatenate([batch.source, batch.target])))
-        ignored = torch.from_numpy(batch.ignored)
-        source, target = features[: len(ignored)], features[len(ignored) :]
+        source, target = (processes.gather(half) for half in features.chunk(2))
+        ignored = torch.from_numpy(batch.ignored).to(features.device)
         loss = contrastive_loss(source, target, ignored, dims=settings.dims, temperature=settings.temperature)
-        judged = _judged_dim(settings.dims)
-        return loss + quality_loss(features[:, -1], source[:, :judged], target[:, :judged], ignored)
+        judged, logits = _judged_dim(settings.dims), torch.cat([source[:, -1], target[:, -1]])
+        return loss + quality_loss(logits, source[:, :judged], target[:, :judged], ignored)
 
     loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
     loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
     network = AzimuthNetwork(settings.dims[-1], width=settings.width)
     folder = settings.output.with_suffix("")
-    module = train(network, draw=batches.draw, loss_of=loss_of, settings=loop, folder=folder, progress=progress)
+    module = train(
+        network,
+        draw=batches.draw,
+        loss_of=loss_of,
+        settings=loop,
+        folder=folder,
+        processes=processes,
+        progress=progress,
+    )
     return _Trained("azimuth", _weights(module), loop.steps)
 
 
@@ -136,25 +148,40 @@ def _judged_dim(dims: tuple[int, ...]) -> int:
     return min(dims, key=lambda dim: abs(dim - 32))
 
 
-def _paper(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> _Trained:
-    triplets = _triplets(settings, defaults, fragments, progress)
+def _paper(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, processes: Processes, progress: Progress
+) -> _Trained:
+    share = processes.share_of(settings.batch, "--batch")
+    triplets = _triplets(settings, defaults, fragments, share, progress)
 
     def loss_of(embed: Callable[[Tensor], Tensor], batch: TripletBatch) -> Tensor:
         features = embed(torch.from_numpy(batch.histograms))
-        anchors, positives, negatives = (features[torch.from_numpy(rows)] for rows in batch.rows)
+        anchors, positives, negatives = (features[torch.from_numpy(rows).to(features.device)] for rows in batch.rows)
         return triplet_loss(anchors, positives, negatives)
 
     loop = _loop(settings, fragments, steps=3 * triplets.batches_per_epoch, learning_rate=1e-4)
     network = PaperNetwork(settings.dims[-1])
     folder = settings.output.with_suffix("")
-    module = train(network, draw=triplets.draw, loss_of=loss_of, settings=loop, folder=folder, progress=progress)
+    module = train(
+        network,
+        draw=triplets.draw,
+        loss_of=loss_of,
+        settings=loop,
+        folder=folder,
+        processes=processes,
+        progress=progress,
+    )
     return _Trained("paper", _weights(module), loop.steps)
 
 
-def _pca(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> _Trained:
+def _pca(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, processes: Processes, progress: Progress
+) -> _Trained:
     from sklearn.decomposition import IncrementalPCA
 
-    triplets = _triplets(settings, defaults, fragments, progress)
+    if processes.count > 1:
+        raise InputError(f"--recipe pca must run in one process, got {processes.count}; start it without torchrun")
+    triplets = _triplets(settings, defaults, fragments, slice(None), progress)
     pca = IncrementalPCA(n_components=settings.dims[-1])
     steps = settings.steps or 40
     for step in range(steps):
@@ -164,7 +191,9 @@ def _pca(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments,
     return _Trained("pca", {name: np.ascontiguousarray(v, np.float32) for name, v in weights.items()}, steps)
 
 
-def _triplets(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, progress: Progress) -> Triplets:
+def _triplets(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, share: slice, progress: Progress
+) -> Triplets:
     return Triplets(
         fragments,
         support_radius=defaults.support_radius,
@@ -173,6 +202,7 @@ def _triplets(settings: TrainSettings, defaults: ModelDefaults, fragments: Fragm
         tau=defaults.tau,
         batch=settings.batch,
         seed=settings.seed,
+        share=share,
         progress=progress,
     )
 

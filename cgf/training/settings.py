@@ -6,6 +6,8 @@ from typing import Literal
 
 from cgf.descriptors.settings import ModelName
 
+DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
+
 
 @dataclass(frozen=True)
 class TrainSettings:
@@ -45,6 +47,8 @@ class TrainSettings:
     """For scenes: densities to train on, in metres; none stands for the model's own."""
     precision: Literal["bfloat16", "float32"] = "float32"
     """bfloat16 is three times faster on processors with AMX."""
+    device: DeviceChoice = "cpu"
+    """Where the network is trained; `auto` takes a GPU where there is one. Batches are drawn on the processor."""
     threads: int = 1
     """Of torch; results are repeatable to the bit for the same number."""
     checkpoint_every: int = 100

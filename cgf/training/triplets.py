@@ -55,9 +55,11 @@ class Triplets:
         tau: float,
         batch: int,
         seed: int,
+        share: slice = slice(None),
         progress: Progress,
     ) -> None:
-        self.tau, self.batch, self.seed = tau, batch, seed
+        """`share` says which of the `batch` triplets of a minibatch are wanted."""
+        self.tau, self.batch, self.seed, self.share = tau, batch, seed, share
         self._views = []
         for number, cloud in enumerate(fragments.clouds):
             progress(number / len(fragments.clouds), "local reference frames")
@@ -82,7 +84,7 @@ class Triplets:
         if self._order is None or self._order[0] != epoch:
             numbers = np.arange(len(self._anchors) * PER_POINT, dtype=np.int32)
             self._order = (epoch, np.random.default_rng([self.seed, 11, epoch]).permutation(numbers))
-        triplets = self._order[1][place * self.batch : (place + 1) * self.batch].astype(np.int64)
+        triplets = self._order[1][place * self.batch : (place + 1) * self.batch][self.share].astype(np.int64)
         points = np.array([self._triplet(int(number)) for number in triplets])  # (T, 3, 2): cloud, entry of its rows
         unique, inverse = np.unique(points.reshape(-1, 2), axis=0, return_inverse=True)
         rows = inverse.reshape(-1, 3)
