@@ -1,4 +1,4 @@
-"""Small files in each format of `cgf.io`, written byte by byte."""
+"""Small files: one in each format of `cgf.io`, written byte by byte, and a scene to train on."""
 
 import itertools
 import re
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cgf.checks import InputError
-from cgf.io import read_cloud
+from cgf.io import read_cloud, write_cloud
 from cgf.types import PointCloud
 
 COUNT = 24
@@ -129,3 +129,17 @@ def samples(cloud):
         "mesh.obj": b"".join(b"v " + row + b"\n" for row in text_rows(PYRAMIDS).splitlines()) + b"f 1 2 3\nf 2 3 4\n",
         "mesh.stl": bytes(80) + struct.pack("<I", len(FACES)) + triangles,
     }
+
+
+def write_scene(folder, seed):
+    """Three bumpy floors of 2 m, each of other points, and the log that says that they lie on each other."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir()
+    for number in range(3):
+        x, y = rng.uniform(0, 2, (2, 2_000))
+        points = np.column_stack([x, y, 0.1 * np.sin(5 * x + seed) * np.cos(4 * y)])
+        normals = np.column_stack([-0.5 * np.cos(5 * x + seed), 0.4 * np.sin(4 * y), np.ones(len(x))])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        write_cloud(folder / f"cloud_bin_{number}.ply", PointCloud(points, normals))
+    rows = "\n".join(" ".join(map(str, row)) for row in np.eye(4))
+    (folder / "gt.log").write_text("".join(f"{i} {j} 3\n{rows}\n" for i, j in ((0, 1), (0, 2), (1, 2))))

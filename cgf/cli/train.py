@@ -1,16 +1,30 @@
 """The command `cgf train`: weights from somebody's own meshes or scans."""
 
 import argparse
+import os
 import shlex
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from cgf.cli.cards import find_folders, options_of_card
 from cgf.cli.common import note, progress_bar
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    """Options of `cgf train`; what they mean and their defaults are those of `TrainSettings`."""
+    """Options of `cgf train`."""
+    _add_settings(parser)
+    again = parser.add_argument_group("weights made before")
+    again.add_argument(
+        "--config", type=Path, metavar="CARD.json", help="train as this card says; options beside it come first"
+    )
+    again.add_argument(
+        "--data-root", type=Path, metavar="FOLDER", help="where the card's data lies, at any depth (default: here)"
+    )
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    """Options of the names in `TrainSettings`, which has their meaning and defaults."""
     data = parser.add_argument_group("data (one of the two)")
     data.add_argument("--meshes", type=Path, metavar="FOLDER", help="meshes, of which range images are rendered")
     data.add_argument(
@@ -60,13 +74,13 @@ def run(options: argparse.Namespace) -> int:
     from cgf.checks import InputError
     from cgf.training.settings import TrainSettings
 
-    given: dict[str, Any] = {}
-    for item in fields(TrainSettings):
-        value = getattr(options, item.name)
-        if value is not None:
-            given[item.name] = tuple(value) if isinstance(value, list) else value
-        elif item.default is MISSING:
-            raise InputError(f"--{item.name} must be given")
+    if os.environ.get("RANK", "0") != "0":
+        options.quiet = True  # Of the processes that torchrun starts, the first speaks.
+    given = _given(options)
+    if options.config is not None:
+        given = _of_card(options, given) | given
+    elif options.data_root is not None:
+        raise InputError("--data-root must come with --config")
     settings = TrainSettings(**given)
     if not settings.output.parent.is_dir():
         raise InputError(f"{settings.output} cannot be written: there is no folder {settings.output.parent}; create it")
@@ -82,13 +96,39 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _given(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that are not left to their defaults."""
+    from cgf.training.settings import TrainSettings
+
+    values = {item.name: getattr(options, item.name) for item in fields(TrainSettings)}
+    return {name: tuple(v) if isinstance(v, list) else v for name, v in values.items() if v is not None}
+
+
+def _of_card(options: argparse.Namespace, given: dict[str, Any]) -> dict[str, Any]:
+    """The settings that a card was made with; its data is looked for unless other data is given."""
+    stored = _given(options_of_card(options.config, _add_settings))
+    meshes, scenes = stored.pop("meshes", None), stored.pop("scenes", None)
+    root = Path() if options.data_root is None else options.data_root
+    if "meshes" not in given and "scenes" not in given:
+        if meshes is not None:
+            stored["meshes"] = find_folders([str(meshes)], root, option="--meshes")[0]
+        if scenes is not None:
+            stored["scenes"] = tuple(find_folders(list(map(str, scenes)), root, option="--scenes"))
+    return stored
+
+
 def _command(given: dict[str, Any]) -> str:
     """The command that makes these weights again, with names of folders instead of paths."""
+    from cgf.training.settings import TrainSettings
+
     words = ["cgf", "train"]
+    defaults = {item.name: item.default for item in fields(TrainSettings)}
     for name, value in given.items():
+        if value == defaults[name] and name != "seed":
+            continue
         words.append(f"--{name.replace('_', '-')}")
         parts = value if isinstance(value, tuple) else (value,)
-        words.extend(part.name if isinstance(part, Path) else str(part) for part in parts)
+        words.extend(part.resolve().name if isinstance(part, Path) else str(part) for part in parts)
     if "seed" not in given:
         words += ["--seed", "1"]
     return shlex.join(words)

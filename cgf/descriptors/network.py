@@ -53,6 +53,8 @@ class NetworkCard:
     seed: int = 0
     scores: dict[str, float] = field(default_factory=dict)
     training: dict[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    """Settings of `cgf train`, which `cgf train --config` reads; folders by their names."""
 
     root: bool = True
     """Whether the network takes the square root of the histogram, times `INPUT_GAIN`."""

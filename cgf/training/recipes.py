@@ -70,6 +70,7 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
             "overlaps": len(fragments.overlaps),
             "torch": torch.__version__,
         },
+        config=settings.config() | {"steps": trained.steps},
     )
     network = Network(card, trained.weights)
     if processes.is_first:

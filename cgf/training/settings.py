@@ -1,8 +1,8 @@
 """What `cgf train` takes; apart from the recipes, so that its help needs no torch."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from cgf.descriptors.settings import ModelName
 
@@ -55,6 +55,11 @@ class TrainSettings:
     """Minibatches between checkpoints."""
     seed: int = 1
 
+    def config(self) -> dict[str, Any]:
+        """All but the output, as a card keeps them: in the types of JSON, and folders by their names."""
+        values = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "output"}
+        return {name: _as_json(value) for name, value in values.items()}
+
     def __post_init__(self) -> None:
         if (self.meshes is None) == (not self.scenes):
             raise ValueError(
@@ -68,3 +73,9 @@ class TrainSettings:
             )
         if not self.dims or list(self.dims) != sorted(set(self.dims)) or self.dims[0] < 1:
             raise ValueError(f"--dims must be ascending and positive, got {self.dims}")
+
+
+def _as_json(value: Any) -> Any:
+    if isinstance(value, tuple):
+        return [_as_json(part) for part in value]
+    return value.resolve().name if isinstance(value, Path) else value

@@ -13,7 +13,6 @@ from cgf import cli  # noqa: E402  After the skip.
 from cgf.checks import InputError  # noqa: E402
 from cgf.descriptors.network import read_network  # noqa: E402
 from cgf.descriptors.settings import MODEL_DEFAULTS  # noqa: E402
-from cgf.io import write_cloud  # noqa: E402
 from cgf.training import distributed, recipes  # noqa: E402
 from cgf.training.batches import Augmentation, Batches  # noqa: E402
 from cgf.training.distributed import Processes, started  # noqa: E402
@@ -22,20 +21,7 @@ from cgf.training.loss import triplet_loss  # noqa: E402
 from cgf.training.settings import TrainSettings  # noqa: E402
 from cgf.training.triplets import Triplets  # noqa: E402
 from cgf.types import PointCloud  # noqa: E402
-
-
-def write_scene(folder, seed):
-    """Three bumpy floors of 2 m, each of other points, and the log that says that they lie on each other."""
-    rng = np.random.default_rng(seed)
-    folder.mkdir()
-    for number in range(3):
-        x, y = rng.uniform(0, 2, (2, 2_000))
-        points = np.column_stack([x, y, 0.1 * np.sin(5 * x + seed) * np.cos(4 * y)])
-        normals = np.column_stack([-0.5 * np.cos(5 * x + seed), 0.4 * np.sin(4 * y), np.ones(len(x))])
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        write_cloud(folder / f"cloud_bin_{number}.ply", PointCloud(points, normals))
-    rows = "\n".join(" ".join(map(str, row)) for row in np.eye(4))
-    (folder / "gt.log").write_text("".join(f"{i} {j} 3\n{rows}\n" for i, j in ((0, 1), (0, 2), (1, 2))))
+from tests.cloud_files import write_scene  # noqa: E402
 
 
 def losses(folder):
