@@ -50,8 +50,17 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         choices=("contrastive", "paper", "pca"),
         help="ours; triplets as published; or principal components (default: contrastive)",
     )
+    recipe.add_argument(
+        "--network", choices=("azimuth", "paper"), help="default: azimuth, or paper for the recipe paper"
+    )
+    recipe.add_argument("--frame", choices=("normal", "paper"), help="default: normal, or paper for the recipe paper")
+    recipe.add_argument(
+        "--histogram",
+        choices=("roots", "counts"),
+        help="what the network is given (default: roots, or counts for paper)",
+    )
     recipe.add_argument("--dims", type=int, nargs="+", metavar="N", help="widths; paper and pca take the last alone")
-    recipe.add_argument("--width", type=int, metavar="N", help="channels of the contrastive network (default: 192)")
+    recipe.add_argument("--width", type=int, metavar="N", help="channels of the azimuth network (default: 192)")
     recipe.add_argument("--steps", type=int, metavar="N", help="minibatches (default: 6000, or 3 epochs for paper)")
     recipe.add_argument("--batch", type=int, metavar="N", help="correspondences or triplets a minibatch")
     recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")

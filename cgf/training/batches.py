@@ -2,13 +2,17 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.spatial import cKDTree
 
+from cgf.descriptors.settings import FrameKind
 from cgf.descriptors.spherical_histogram import histogram_grid
+from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.transforms import apply
+from cgf.training.augmentation import Augmentation
 from cgf.training.fragments import Fragments, Overlap
 from cgf.types import PointCloud
 
@@ -26,18 +30,6 @@ class Batch:
     """
 
 
-@dataclass(frozen=True)
-class Augmentation:
-    """Changes drawn anew for every overlap of every batch."""
-
-    radius_jitter: float = 0.1
-    """The support is scaled by a factor within 1 plus or minus this, the same for both clouds."""
-    normal_noise_deg: float = 3.0
-    """Standard deviation of the tilt of the frames' z axes."""
-    keep_at_least: float = 0.6
-    """A random share of the neighbours, between this and 1, is kept in each cloud."""
-
-
 class Batches:
     """Draws batches of `size` correspondences from `per_batch` overlaps at a time."""
 
@@ -47,6 +39,8 @@ class Batches:
         *,
         support_radius: float,
         min_radius: float,
+        lrf_radius: float,
+        frame: FrameKind | Literal["random"],
         tau: float,
         size: int,
         per_batch: int,
@@ -57,6 +51,7 @@ class Batches:
         """`share` says which of the `per_batch` overlaps' histograms are computed; others do without."""
         self.fragments = fragments
         self.support_radius, self.min_radius, self.tau = support_radius, min_radius, tau
+        self.lrf_radius, self.frame = lrf_radius, frame
         self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
         self._own = range(per_batch)[share]
         self._scenes: dict[int, list[Overlap]] = {}
@@ -75,10 +70,10 @@ class Batches:
             scene, overlap, rows, partner_rows = self._overlap(share, rng)
             source, target = self.fragments.clouds[overlap.source], self.fragments.clouds[overlap.target]
             if number in self._own:
-                jitter = self.augmentation.radius_jitter
-                factor = rng.uniform(1 - jitter, 1 + jitter)
-                sources.append(self._histograms(source, rows, factor, rng))
-                targets.append(self._histograms(target, partner_rows, factor, rng))
+                jitter, shape = self.augmentation.radius_jitter, self.augmentation.draw_shape(rng)
+                factor, turn = rng.uniform(1 - jitter, 1 + jitter), overlap.target_from_source[:3, :3]
+                sources.append(self._histograms(source, rows, factor, shape @ turn, rng))
+                targets.append(self._histograms(target, partner_rows, factor, shape, rng))
             positions.append(apply(overlap.target_from_source, source.points[rows]))
             partners.append(target.points[partner_rows])
             scenes.append(scene)
@@ -112,28 +107,27 @@ class Batches:
         return (candidates[near], partners[near]) if len(near) == count else None
 
     def _histograms(
-        self, cloud: PointCloud, rows: np.ndarray, factor: float, rng: np.random.Generator
+        self,
+        cloud: PointCloud,
+        rows: np.ndarray,
+        factor: float,
+        shape: Float64[np.ndarray, "3 3"],
+        rng: np.random.Generator,
     ) -> Float32[np.ndarray, "K 2244"]:
+        """Histograms of the augmented cloud, which the linear map `shape` has brought into another shape and frame."""
         assert cloud.normals is not None
-        kept = rng.random(len(cloud)) < rng.uniform(self.augmentation.keep_at_least, 1.0)
-        grid = histogram_grid(
-            cloud.points[kept], support_radius=self.support_radius * factor, min_radius=self.min_radius * factor
-        )
-        frames = _random_frames(cloud.normals[rows], np.deg2rad(self.augmentation.normal_noise_deg), rng)
-        return grid.histograms(cloud.points[rows], frames, soft=True)[0]
+        points, normals = cloud.points @ shape.T, cloud.normals @ np.linalg.inv(shape)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        support_radius = self.support_radius * factor
+        kept = points[self.augmentation.draw_kept(points, support_radius, rng)]
+        grid = histogram_grid(kept, support_radius=support_radius, min_radius=self.min_radius * factor)
+        frames = self.augmentation.draw_frames(normals[rows], rng)
+        if self.frame != "random":
+            estimated, defined = estimate_lrf(points, normals, rows, radius=self.lrf_radius, kind=self.frame)
+            frames = np.where(defined[:, None, None], estimated, frames)
+        return grid.histograms(points[rows], frames, soft=self.frame == "random")[0]
 
 
 def _reversed(overlap: Overlap) -> Overlap:
     inverse = np.linalg.inv(overlap.target_from_source)
     return Overlap(overlap.target, overlap.source, inverse, overlap.scene, overlap.voxel_size)
-
-
-def _random_frames(
-    normals: Float64[np.ndarray, "K 3"], tilt: float, rng: np.random.Generator
-) -> Float64[np.ndarray, "K 3 3"]:
-    """Frames with z near the normal and a random x: the network has to do without a repeatable x axis."""
-    z = normals + rng.normal(size=normals.shape) * tilt
-    z /= np.linalg.norm(z, axis=1, keepdims=True)
-    x = np.cross(z, rng.normal(size=z.shape))
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return np.stack([x, np.cross(z, x), z], axis=1)

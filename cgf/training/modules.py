@@ -48,8 +48,8 @@ class AzimuthNetwork(FeatureNetwork):
 class PaperNetwork(FeatureNetwork):
     """Five hidden layers of 512, initialised as in the paper: normal weights of deviation 0.1."""
 
-    def __init__(self, dim: int, *, root: bool = False) -> None:
-        super().__init__("paper", hidden=512, dim=dim, root=root, judges=False)
+    def __init__(self, dim: int, *, root: bool = False, judges: bool = False) -> None:
+        super().__init__("paper", hidden=512, dim=dim, root=root, judges=judges)
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise([HISTOGRAM_BINS, *[512] * 5]))
         for layer in [*self.layers, self.out]:
             nn.init.normal_(layer.weight, std=0.1)

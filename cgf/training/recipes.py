@@ -10,12 +10,13 @@ import torch
 from torch import Tensor, nn
 
 from cgf.checks import InputError
-from cgf.descriptors.network import Network, NetworkCard, NetworkKind, write_network
-from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults
-from cgf.training.batches import Augmentation, Batch, Batches
+from cgf.descriptors.network import Network, NetworkCard, write_network
+from cgf.descriptors.settings import MODEL_DEFAULTS, ModelDefaults
+from cgf.training.augmentation import Augmentation
+from cgf.training.batches import Batch, Batches
 from cgf.training.distributed import Processes, started
 from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
-from cgf.training.loop import LoopSettings, train
+from cgf.training.loop import BatchT, LoopSettings, train
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss
 from cgf.training.modules import AzimuthNetwork, PaperNetwork
 from cgf.training.settings import TrainSettings
@@ -25,7 +26,6 @@ from cgf.types import Progress
 
 @dataclass(frozen=True, eq=False)
 class _Trained:
-    kind: NetworkKind
     weights: dict[str, np.ndarray]
     steps: int
 
@@ -47,18 +47,19 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     with started(settings.device) as processes:
         fragments = _fragments(settings, defaults, progress)
         trained = _TRAIN[settings.recipe](settings, defaults, fragments, processes, progress)
-    contrastive = settings.recipe == "contrastive"
-    frame: FrameKind = "normal" if contrastive else "paper"
+    pca = settings.recipe == "pca"
     card = NetworkCard(
-        kind=trained.kind,
+        kind="pca" if pca else settings.chosen_network,
         model=settings.model,
-        dims=settings.dims if contrastive else settings.dims[-1:],
-        frame=frame,
+        dims=settings.dims if settings.contrastive else settings.dims[-1:],
+        frame=settings.chosen_frame,
         relative=defaults.relative,
         support_radius=defaults.support_radius,
         min_radius=defaults.min_radius,
         lrf_radius=defaults.lrf_radius,
         voxel_sizes=settings.voxel_sizes or (defaults.voxel_size,),
+        root=settings.takes_roots and not pca,
+        nested=settings.contrastive,
         command=command,
         data=", ".join(path.name for path in ([settings.meshes] if settings.meshes else settings.scenes)),
         seed=settings.seed,
@@ -108,10 +109,14 @@ def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
 def _contrastive(
     settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, processes: Processes, progress: Progress
 ) -> _Trained:
+    azimuth = settings.chosen_network == "azimuth"
     batches = Batches(
         fragments,
         support_radius=defaults.support_radius,
         min_radius=defaults.min_radius,
+        lrf_radius=defaults.lrf_radius,
+        # The azimuth network has to do without a repeatable x axis.
+        frame="random" if azimuth else settings.chosen_frame,
         tau=defaults.tau,
         size=settings.batch,
         per_batch=settings.overlaps_per_batch,
@@ -130,18 +135,7 @@ def _contrastive(
 
     loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
     loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
-    network = AzimuthNetwork(settings.dims[-1], width=settings.width)
-    folder = settings.output.with_suffix("")
-    module = train(
-        network,
-        draw=batches.draw,
-        loss_of=loss_of,
-        settings=loop,
-        folder=folder,
-        processes=processes,
-        progress=progress,
-    )
-    return _Trained("azimuth", _weights(module), loop.steps)
+    return _optimised(settings, batches.draw, loss_of, loop, processes, progress)
 
 
 def _judged_dim(dims: tuple[int, ...]) -> int:
@@ -161,18 +155,28 @@ def _paper(
         return triplet_loss(anchors, positives, negatives)
 
     loop = _loop(settings, fragments, steps=3 * triplets.batches_per_epoch, learning_rate=1e-4)
-    network = PaperNetwork(settings.dims[-1])
+    return _optimised(settings, triplets.draw, loss_of, loop, processes, progress)
+
+
+def _optimised(
+    settings: TrainSettings,
+    draw: Callable[[int], BatchT],
+    loss_of: Callable[[Callable[[Tensor], Tensor], BatchT], Tensor],
+    loop: LoopSettings,
+    processes: Processes,
+    progress: Progress,
+) -> _Trained:
+    """Train the network that `settings` ask for."""
+    network: nn.Module
+    if settings.chosen_network == "azimuth":
+        network = AzimuthNetwork(settings.dims[-1], width=settings.width, judges=settings.contrastive)
+    else:
+        network = PaperNetwork(settings.dims[-1], root=settings.takes_roots, judges=settings.contrastive)
     folder = settings.output.with_suffix("")
     module = train(
-        network,
-        draw=triplets.draw,
-        loss_of=loss_of,
-        settings=loop,
-        folder=folder,
-        processes=processes,
-        progress=progress,
+        network, draw=draw, loss_of=loss_of, settings=loop, folder=folder, processes=processes, progress=progress
     )
-    return _Trained("paper", _weights(module), loop.steps)
+    return _Trained(_weights(module), loop.steps)
 
 
 def _pca(
@@ -189,7 +193,7 @@ def _pca(
         pca.partial_fit(triplets.draw(step).histograms)
         progress((step + 1) / steps, f"principal components, part {step + 1} of {steps}")
     weights = {"mean": pca.mean_, "components": pca.components_}
-    return _Trained("pca", {name: np.ascontiguousarray(v, np.float32) for name, v in weights.items()}, steps)
+    return _Trained({name: np.ascontiguousarray(v, np.float32) for name, v in weights.items()}, steps)
 
 
 def _triplets(
@@ -200,6 +204,8 @@ def _triplets(
         support_radius=defaults.support_radius,
         min_radius=defaults.min_radius,
         lrf_radius=defaults.lrf_radius,
+        frame=settings.chosen_frame,
+        soft=settings.chosen_network == "azimuth" and settings.recipe != "pca",
         tau=defaults.tau,
         batch=settings.batch,
         seed=settings.seed,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-from cgf.descriptors.settings import ModelName
+from cgf.descriptors.settings import FrameKind, ModelName
 
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 
@@ -25,10 +25,16 @@ class TrainSettings:
     """Whose lengths to use: `object` takes shares of the diameter, `indoor` metres."""
     recipe: Literal["contrastive", "paper", "pca"] = "contrastive"
     """`paper` trains on 40 triplets a point for three epochs, `pca` fits principal components."""
+    network: Literal["azimuth", "paper"] | None = None
+    """None stands for `azimuth` (contrastive) or the paper's five hidden layers."""
+    frame: FrameKind | None = None
+    """Whose local reference frames; None stands for `normal` (contrastive) or `paper`."""
+    histogram: Literal["roots", "counts"] | None = None
+    """What the network is given of a histogram; None stands for square roots (contrastive) or counts."""
     dims: tuple[int, ...] = (8, 16, 24, 32, 64)
     """Widths of the feature; the recipes `paper` and `pca` take the last alone."""
     width: int = 192
-    """Channels of the contrastive recipe's network; time and size grow with its square."""
+    """Channels of the azimuth network; time and size grow with its square."""
     steps: int | None = None
     """Minibatches; none stands for 6,000 (contrastive) or three epochs (paper)."""
     batch: int = 512
@@ -73,6 +79,25 @@ class TrainSettings:
             )
         if not self.dims or list(self.dims) != sorted(set(self.dims)) or self.dims[0] < 1:
             raise ValueError(f"--dims must be ascending and positive, got {self.dims}")
+
+    @property
+    def contrastive(self) -> bool:
+        """Whether features are learned by contrast, so nested and of unit length."""
+        return self.recipe == "contrastive"
+
+    @property
+    def chosen_network(self) -> Literal["azimuth", "paper"]:
+        return self.network or ("azimuth" if self.contrastive else "paper")
+
+    @property
+    def chosen_frame(self) -> FrameKind:
+        return self.frame or ("normal" if self.contrastive else "paper")
+
+    @property
+    def takes_roots(self) -> bool:
+        """Whether the network is given square roots; the azimuth network always is."""
+        chosen = self.histogram or ("roots" if self.contrastive else "counts")
+        return chosen == "roots" or self.chosen_network == "azimuth"
 
 
 def _as_json(value: Any) -> Any:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from scipy.spatial import cKDTree
 
+from cgf.descriptors.settings import FrameKind
 from cgf.descriptors.spherical_histogram import HistogramGrid, histogram_grid
 from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.transforms import apply
@@ -52,6 +53,8 @@ class Triplets:
         support_radius: float,
         min_radius: float,
         lrf_radius: float,
+        frame: FrameKind = "paper",
+        soft: bool = False,
         tau: float,
         batch: int,
         seed: int,
@@ -59,11 +62,11 @@ class Triplets:
         progress: Progress,
     ) -> None:
         """`share` says which of the `batch` triplets of a minibatch are wanted."""
-        self.tau, self.batch, self.seed, self.share = tau, batch, seed, share
+        self.tau, self.batch, self.seed, self.share, self.soft = tau, batch, seed, share, soft
         self._views = []
         for number, cloud in enumerate(fragments.clouds):
             progress(number / len(fragments.clouds), "local reference frames")
-            self._views.append(_view(cloud, support_radius, min_radius, lrf_radius))
+            self._views.append(_view(cloud, support_radius, min_radius, lrf_radius, frame))
         position = {id(cloud): number for number, cloud in enumerate(fragments.clouds)}
         self._model_of = {position[id(cloud)]: group for group in fragments.groups for cloud in group}
         self._numbers = {id(group): np.array([position[id(cloud)] for cloud in group]) for group in fragments.groups}
@@ -138,14 +141,14 @@ class Triplets:
             chosen = points[:, 0] == number
             view, entries = self._views[number], points[chosen, 1]
             centers = view.cloud.points[view.rows[entries]]
-            rows[chosen] = view.grid.histograms(centers, view.frames[entries].astype(np.float64))[0]
+            rows[chosen] = view.grid.histograms(centers, view.frames[entries].astype(np.float64), soft=self.soft)[0]
         return rows
 
 
-def _view(cloud: PointCloud, support_radius: float, min_radius: float, lrf_radius: float) -> _View:
+def _view(cloud: PointCloud, support_radius: float, min_radius: float, lrf_radius: float, frame: FrameKind) -> _View:
     assert cloud.normals is not None
     everything = np.arange(len(cloud))
-    frames, defined = estimate_lrf(cloud.points, cloud.normals, everything, radius=lrf_radius, kind="paper")
+    frames, defined = estimate_lrf(cloud.points, cloud.normals, everything, radius=lrf_radius, kind=frame)
     rows = np.flatnonzero(defined)
     grid = histogram_grid(cloud.points, support_radius=support_radius, min_radius=min_radius)
     return _View(cloud, rows, frames[rows].astype(np.float32), cKDTree(cloud.points[rows]), grid)

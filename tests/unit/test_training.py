@@ -12,7 +12,8 @@ from cgf.checks import InputError  # noqa: E402  After the skip.
 from cgf.descriptors.network import read_network  # noqa: E402
 from cgf.descriptors.settings import MODEL_DEFAULTS  # noqa: E402
 from cgf.training import recipes  # noqa: E402
-from cgf.training.batches import Augmentation, Batches  # noqa: E402
+from cgf.training.augmentation import Augmentation  # noqa: E402
+from cgf.training.batches import Batches  # noqa: E402
 from cgf.training.fragments import Fragments, Overlap, fragments_of_meshes  # noqa: E402
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss  # noqa: E402
 from cgf.training.overlap import overlapping_pairs  # noqa: E402
@@ -127,16 +128,19 @@ def test_quality_is_taught_which_features_find_their_partner():
     assert targets.grad is None
 
 
-def test_batches_depend_on_their_number_alone(fragments):
+@pytest.mark.parametrize("frame", ["random", "normal", "paper"])
+def test_batches_depend_on_their_number_alone(fragments, frame):
     def make():
         return Batches(
             fragments,
             support_radius=0.17,
             min_radius=0.015,
+            lrf_radius=0.02,
+            frame=frame,
             tau=0.01,
             size=64,
             per_batch=4,
-            augmentation=Augmentation(),
+            augmentation=Augmentation(stretch=0.2, mirror=True, holes=0.5, cut=0.5),
             seed=3,
         )
 
@@ -241,6 +245,53 @@ def test_a_killed_run_resumes_to_the_bit(meshes, fragments, tmp_path, monkeypatc
     logs = [(tmp_path / name / "log.jsonl").read_text() for name in ("whole", "broken")]
     assert logs[0] == logs[1]
     assert [json.loads(line)["step"] for line in logs[0].splitlines()] == list(range(6))
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "root", "nested"),
+    [
+        ({"recipe": "paper"}, "paper", False, False),
+        ({"recipe": "paper", "frame": "normal", "histogram": "roots"}, "paper", True, False),
+        ({"recipe": "paper", "network": "azimuth"}, "azimuth", True, False),
+        ({"network": "paper"}, "paper", True, True),
+        ({}, "azimuth", True, True),
+    ],
+)
+def test_cards_say_which_steps_from_the_paper_to_ours_were_taken(
+    meshes, fragments, tmp_path, monkeypatch, changes, kind, root, nested
+):
+    monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: fragments)
+    network = run(settings_for(meshes, tmp_path / "a.safetensors", **{"steps": 1, **changes}), progress=silent)
+    card = read_network(tmp_path / "a.safetensors").card
+    assert (card.kind, card.root, card.nested) == (kind, root, nested)
+    assert card.frame == changes.get("frame", "normal" if nested else "paper")
+    assert network.judges == nested
+    lengths = np.linalg.norm(network.embed(np.full((1, 2244), 1 / 2244, np.float32)), axis=1)
+    assert (abs(lengths - 1) < 1e-5).all() == nested
+
+
+def test_stretching_and_mirroring_keep_frames_right(fragments):
+    """A mirrored cloud is described as if it had been scanned that way: z is its normal, frames are right-handed."""
+    augmentation, rng = Augmentation(stretch=0.3, mirror=True), np.random.default_rng(0)
+    shapes = [augmentation.draw_shape(rng) for _ in range(40)]
+    determinants = np.linalg.det(shapes)
+    assert {-1.0, 1.0} == set(np.sign(determinants))
+    stretches = np.linalg.svd(shapes, compute_uv=False)
+    assert stretches.max() < 1.3
+    assert stretches.min() > 1 / 1.3
+    assert stretches.max() > 1.2
+    frames = augmentation.draw_frames(fragments.clouds[0].normals[:50], rng)
+    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.tile(np.eye(3), (50, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(frames), 1)
+
+
+def test_holes_and_edges_take_points_away(fragments):
+    cloud, rng = fragments.clouds[0], np.random.default_rng(0)
+    plain = Augmentation(keep_at_least=1.0)
+    assert plain.draw_kept(cloud.points, 0.17, rng).all()
+    for other in (Augmentation(keep_at_least=1.0, holes=1.0), Augmentation(keep_at_least=1.0, cut=1.0)):
+        shares = [other.draw_kept(cloud.points, 0.17, rng).mean() for _ in range(10)]
+        assert 0.3 < np.mean(shares) < 1
 
 
 def test_a_checkpoint_of_other_settings_is_refused(meshes, fragments, tmp_path, monkeypatch):

@@ -14,7 +14,8 @@ from cgf.checks import InputError  # noqa: E402
 from cgf.descriptors.network import read_network  # noqa: E402
 from cgf.descriptors.settings import MODEL_DEFAULTS  # noqa: E402
 from cgf.training import distributed, recipes  # noqa: E402
-from cgf.training.batches import Augmentation, Batches  # noqa: E402
+from cgf.training.augmentation import Augmentation  # noqa: E402
+from cgf.training.batches import Batches  # noqa: E402
 from cgf.training.distributed import Processes, started  # noqa: E402
 from cgf.training.fragments import Fragments, Overlap  # noqa: E402
 from cgf.training.loss import triplet_loss  # noqa: E402
@@ -85,10 +86,10 @@ def floors():
 
 
 def test_shares_of_a_batch_are_its_parts():
-    lengths = {"support_radius": 0.9, "min_radius": 0.075, "tau": 0.1}
+    given = {"support_radius": 0.9, "min_radius": 0.075, "lrf_radius": 0.2, "frame": "random", "tau": 0.1}
 
     def draw(share):
-        batches = Batches(floors(), **lengths, size=24, per_batch=4, augmentation=Augmentation(), seed=1, share=share)
+        batches = Batches(floors(), **given, size=24, per_batch=4, augmentation=Augmentation(), seed=1, share=share)
         return batches.draw(3)
 
     whole, parts = draw(slice(None)), [draw(slice(0, 2)), draw(slice(2, 4))]
