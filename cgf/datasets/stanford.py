@@ -14,6 +14,8 @@ from cgf.io import PairFiles, read_cloud, read_pairs
 from cgf.types import Pair
 
 _MOST_QUERIES = 5_000
+_SCANNER = (0.0, 0.0, 10.0)
+"""In metres, in the frame of each raw scan: on its side with large z, and farther than the scans are wide."""
 
 
 def find_stanford(root: str | Path, *, overlap: float = 0.3, tau: float = 0.0015) -> list[PairFiles]:
@@ -34,7 +36,7 @@ def find_stanford(root: str | Path, *, overlap: float = 0.3, tau: float = 0.0015
         shares = [_share(placed[source], placed[target], tau), _share(placed[target], placed[source], tau)]
         if min(shares) >= overlap:
             pose = compose(invert(poses[target]), poses[source])
-            found.append(PairFiles(f"{source.stem} to {target.stem}", source, target, pose))
+            found.append(PairFiles(f"{source.stem} to {target.stem}", source, target, pose, viewpoint=_SCANNER))
     return found
 
 

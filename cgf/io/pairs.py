@@ -24,6 +24,8 @@ class PairFiles:
     source: Path
     target: Path
     target_from_source: Float64[np.ndarray, "4 4"] | None = None
+    viewpoint: tuple[float, float, float] | None = None
+    """Position of the sensor in the frame of either cloud; None takes the files'."""
 
     def read(self, *, drop_invalid: bool = False) -> Pair:
         """Read both clouds.
@@ -40,18 +42,20 @@ def read_pairs(pairs: Iterable[PairFiles], *, drop_invalid: bool = False) -> Ite
     Raises:
         InputError: A file cannot be read.
     """
-    cache: OrderedDict[Path, PointCloud] = OrderedDict()
+    cache: OrderedDict[tuple[object, ...], PointCloud] = OrderedDict()
 
-    def cloud(path: Path) -> PointCloud:
-        if path not in cache:
-            cache[path] = read_cloud(path, drop_invalid=drop_invalid)
-        cache.move_to_end(path)
+    def cloud(path: Path, viewpoint: tuple[float, float, float] | None) -> PointCloud:
+        key = path, viewpoint
+        if key not in cache:
+            cache[key] = read_cloud(path, viewpoint=viewpoint, drop_invalid=drop_invalid)
+        cache.move_to_end(key)
         while len(cache) > 1 and sum(map(len, cache.values())) > _CACHED_POINTS:
             cache.popitem(last=False)
-        return cache[path]
+        return cache[key]
 
     for files in pairs:
-        yield Pair(files.name, cloud(files.source), cloud(files.target), files.target_from_source)
+        source, target = (cloud(path, files.viewpoint) for path in (files.source, files.target))
+        yield Pair(files.name, source, target, files.target_from_source)
 
 
 def numbered_clouds(folder: Path) -> dict[int, Path]:
