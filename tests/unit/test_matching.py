@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from cgf.matching import MatchTable, filter_rows, match, nearest
+from cgf.matching.ranking import RANKINGS, match_quality, surest_rows, trust
 from cgf.matching.search import BLOCK
 from cgf.matching.tiles import LANES, ROWS
 from cgf.types import Cancelled, Correspondences, Features
@@ -207,3 +208,31 @@ def test_progress_rises_to_one() -> None:
     assert told == sorted(told)
     assert len(told) == 3
     assert told[-1] == 1
+
+
+def ranked_features(quality: list[float] | None) -> Features:
+    values = None if quality is None else np.array(quality, np.float32)
+    return Features(np.array([7, 2, 5]), np.eye(3, dtype=np.float32), "cgf", values)
+
+
+def test_matches_are_ranked_by_what_is_asked_for() -> None:
+    matches = Correspondences(
+        np.array([[2, 7], [7, 5], [5, 2]]),
+        np.array([0.3, 0.1, 0.2], np.float32),
+        np.array([0.9, 0.95, 0.5], np.float32),
+    )
+    quality = match_quality(ranked_features([0.5, 1.0, 0.8]), ranked_features([1.0, 0.25, 0.5]), matches)
+    assert quality is not None
+    np.testing.assert_allclose(quality, [1.0 * 1.0, 0.5 * 0.5, 0.8 * 0.25])
+    orders = {by: surest_rows(trust(matches, by, quality=quality), share=1.0).tolist() for by in RANKINGS}
+    assert orders == {"distance": [1, 2, 0], "ratio": [2, 0, 1], "quality": [0, 1, 2], "combined": [0, 2, 1]}
+    assert surest_rows(trust(matches, "ratio"), share=0.1).tolist() == [2]
+
+
+def test_features_without_quality_cannot_be_ranked_by_it() -> None:
+    matches = Correspondences(np.array([[2, 7]]), np.ones(1, np.float32), np.ones(1, np.float32))
+    assert match_quality(ranked_features([1, 1, 1]), ranked_features(None), matches) is None
+    with pytest.raises(ValueError, match="by must be distance or ratio where features have no quality, got quality"):
+        trust(matches, "quality")
+    with pytest.raises(ValueError, match=r"share must be above 0 and at most 1, got 0"):
+        surest_rows(np.ones(1, np.float32), share=0.0)
