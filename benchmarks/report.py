@@ -13,6 +13,7 @@ from pathlib import Path
 
 from benchmarks.groups import Group, Row
 from benchmarks.timing import ROOT
+from cgf.evaluation.suite.report import replace_marked
 
 COLUMNS = ("", "unit", "best", "median", "ratio", "reach", "met", "")
 PACKAGES = ("faiss-cpu", "hnswlib", "numba", "numpy", "open3d-cpu", "scikit-learn", "scipy")
@@ -111,13 +112,7 @@ def update(path: Path, content: str, *, module: str = "benchmarks") -> None:
     Raises:
         ValueError: The document has no such comments.
     """
-    document = path.read_text("utf-8")
-    begin, end = f"<!-- made by: python -m {module} --update -->\n", "<!-- until here -->"
-    before, found, rest = document.partition(begin)
-    _, found_end, after = rest.partition(end)
-    if not found or not found_end:
-        raise ValueError(f"{path} must have the lines {begin.strip()} and {end}, got no such lines")
-    path.write_text(f"{before}{begin}\n{content.strip()}\n\n{end}{after}", "utf-8")
+    replace_marked(path, content, command=f"python -m {module} --update")
 
 
 def where() -> str:

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cgf.cli import suite
 from cgf.cli.common import note, progress_bar
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Options of `cgf evaluate`."""
     parser.add_argument(
         "data",
-        nargs="+",
+        nargs="*",
         metavar="DATA",
         help="demo, or folders: of pair_NN folders (Fast Global Registration), of scans with a .conf (Stanford), of "
         "fragments with a gt.log (3DMatch), or of such folders",
@@ -40,17 +41,22 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--pairs", type=int, metavar="N", help="at most that many pairs of each data set, spread evenly (default: all)"
     )
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="scores of every pair as JSON")
+    suite.add_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print a table for every data set."""
     from cgf.checks import InputError
 
-    choices = [_choice(name, options) for name in options.descriptors]
     if options.pairs is not None and options.pairs < 1:
         raise InputError(f"--pairs must be 1 or more, got {options.pairs}")
+    if options.suite is not None:
+        return suite.run(options)
+    if not options.data:
+        raise InputError("DATA must be given, or --suite; see cgf evaluate --help")
+    choices = [_choice(name, options) for name in options.descriptors]
     from cgf.evaluation.benchmark import evaluate, summarise
-    from cgf.evaluation.matches import check_output, write_whole
+    from cgf.evaluation.matches import check_output, write_text
 
     if options.output is not None:
         check_output(options.output, (".json",))
@@ -62,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
         print(_table(f"{Path(data).name}, {count} {'pair' if count == 1 else 'pairs'}", summarise(scores[data])))
     if options.output is not None:
         text = json.dumps({data: [asdict(score) for score in rows] for data, rows in scores.items()}, indent=1)
-        write_whole(options.output, lambda file: file.writelines([text.encode()]))
+        write_text(options.output, text)
         note(options, f"Wrote {options.output}")
     return 0
 

@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 from importlib.resources import as_file, files
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64
 
 from cgf.geometry.transforms import compose, invert, move, rigid, rotation_about
-from cgf.io import read_cloud
+from cgf.io import PairFiles, read_cloud
 from cgf.types import Pair, PointCloud
 
 
@@ -24,6 +25,12 @@ def load_demo() -> Pair:
         target=replace(_read("cloud_bin_0.pcd"), name="cloud_bin_0"),
         target_from_source=invert(motion),
     )
+
+
+def find_demo() -> PairFiles:
+    """The files of the same two fragments, in whose frames they fit as they are."""
+    folder = Path(str(files("cgf.datasets"))) / "demo_data"
+    return PairFiles("demo", folder / "cloud_bin_1.pcd", folder / "cloud_bin_0.pcd", np.eye(4))
 
 
 def _motion() -> Float64[np.ndarray, "4 4"]:

@@ -95,6 +95,11 @@ def write_whole(path: Path, write: Callable[[BinaryIO], None]) -> None:
         part.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text file as `write_whole` does."""
+    write_whole(path, lambda file: file.writelines([text.encode()]))
+
+
 def check_output(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> None:
     """Refuse an output file before hours are spent on what should go into it.
 
