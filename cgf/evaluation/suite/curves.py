@@ -8,9 +8,10 @@ from cgf.evaluation.suite.plots import Panel, Series, figure
 from cgf.evaluation.suite.scoring import THRESHOLDS
 from cgf.evaluation.suite.sets import SetName
 from cgf.evaluation.suite.summary import Summary
-from cgf.evaluation.suite.tables import Titles, base_name, is_headline
+from cgf.evaluation.suite.tables import base_name, is_headline
 
 _SETS: dict[SetName, str] = {"fgr": "FGR level 1", "happy": "Happy Buddha, raw scans", "rooms": "Rooms", "demo": "Demo"}
+_NAMES = {"cgf": "CGF", "paper": "paper", "fpfh": "FPFH", "pca": "PCA"}
 _SHADES = {
     "cgf": {8: "#9cc4e4", 16: "#5b9fd0", 32: "#2a78b5"},
     "paper": {8: "#f0c090", 16: "#e09a50", 32: "#c8701a"},
@@ -25,7 +26,7 @@ _CHANGES: dict[Change, str] = {
 }
 
 
-def threshold_plot(summaries: Sequence[Summary], titles: Titles) -> str:
+def threshold_plot(summaries: Sequence[Summary]) -> str:
     """A panel for each set: how precision grows with the error that still counts as right."""
     panels = []
     for key, name in _SETS.items():
@@ -35,13 +36,13 @@ def threshold_plot(summaries: Sequence[Summary], titles: Titles) -> str:
             color = _SHADES.get(base_name(summary), {}).get(summary.dim)
             if color is not None:
                 points = ((0.0, 0.0), *zip(THRESHOLDS[summary.model], summary.mean["curve"], strict=True))
-                series.append(Series(_short(summary, titles), color, _percent(points)))
+                series.append(Series(_short(summary), color, _percent(points)))
         if series:
             panels.append(Panel(name, *_threshold_axis(chosen[0].model), tuple(series)))
     return figure(panels)
 
 
-def dimension_plot(summaries: Sequence[Summary], titles: Titles) -> str:
+def dimension_plot(summaries: Sequence[Summary]) -> str:
     """A panel for each set: how precision grows with the number of values of a feature."""
     panels = []
     for key in ("fgr", "rooms"):
@@ -54,7 +55,7 @@ def dimension_plot(summaries: Sequence[Summary], titles: Titles) -> str:
             chosen.sort(key=lambda summary: summary.dim)
             points = tuple((float(summary.dim), summary.mean["precision"]) for summary in chosen)
             color = list(_SHADES[name].values())[-1]
-            series.append(Series(titles.get(chosen[-1].row) or name, color, _percent(points)))
+            series.append(Series(_NAMES[name], color, _percent(points)))
         if series:
             last = max(x for line in series for x, _ in line.points)
             ticks = tuple(
@@ -64,7 +65,7 @@ def dimension_plot(summaries: Sequence[Summary], titles: Titles) -> str:
     return figure(panels)
 
 
-def robustness_plot(summaries: Sequence[Summary], titles: Titles) -> str:
+def robustness_plot(summaries: Sequence[Summary]) -> str:
     """A row of panels for each change, objects beside rooms."""
     places: dict[ModelName, str] = {"object": "Objects", "indoor": "Rooms"}
     panels = []
@@ -85,7 +86,7 @@ def robustness_plot(summaries: Sequence[Summary], titles: Titles) -> str:
                     if f"{model}: {step.label}" in summary.parts
                 )
                 color = _SHADES[summary.row][summary.dim]
-                series.append(Series(_short(summary, titles), color, _percent(points)))
+                series.append(Series(_short(summary), color, _percent(points)))
             values = sorted({x for line in series for x, _ in line.points})
             if len(values) > 1:
                 ticks = tuple(
@@ -101,9 +102,9 @@ def _threshold_axis(model: ModelName) -> tuple[str, tuple[tuple[float, str], ...
     return "error in cm", tuple((value, f"{100 * value:g}") for value in (0.0, 0.05, 0.1, 0.15, 0.2, 0.25))
 
 
-def _short(summary: Summary, titles: Titles) -> str:
-    name = titles.get(summary.row) or base_name(summary)
-    return name if summary.row == "fpfh" else f"{name.split()[0]}-{summary.dim}"
+def _short(summary: Summary) -> str:
+    name = _NAMES[base_name(summary)]
+    return name if summary.row == "fpfh" else f"{name}-{summary.dim}"
 
 
 def _percent(points: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:

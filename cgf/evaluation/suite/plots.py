@@ -7,7 +7,7 @@ from html import escape
 
 WIDTH, HEIGHT = 300, 220
 """Of the axes of a panel."""
-_LEFT, _TOP, _BOTTOM, _RIGHT = 44, 34, 44, 128
+_LEFT, _TOP, _BOTTOM, _RIGHT = 44, 34, 44, 76
 _LABEL_STEP = 14
 
 
@@ -35,7 +35,7 @@ class Panel:
 
 def figure(panels: Sequence[Panel], *, columns: int = 2) -> str:
     """The panels in rows of so many."""
-    columns = min(columns, len(panels))
+    columns = max(min(columns, len(panels)), 1)
     width, height = _LEFT + WIDTH + _RIGHT, _TOP + HEIGHT + _BOTTOM
     rows = -(-len(panels) // columns)
     parts = [
@@ -75,20 +75,20 @@ def _panel(panel: Panel) -> list[str]:
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
         parts.append(f'<polyline points="{path}" fill="none" stroke="{series.color}" stroke-width="2"{dash}/>')
         parts += [f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{series.color}"/>' for x, y in places]
-        ends.append((places[-1][1], series))
-    for y, series in _apart(ends):
-        parts.append(f'<text x="{WIDTH + 8}" y="{y + 4:.1f}" fill="{series.color}">{escape(series.label)}</text>')
+        ends.append((*places[-1], series))
+    for x, y, series in _apart(ends):
+        parts.append(f'<text x="{x + 8:.1f}" y="{y + 4:.1f}" fill="{series.color}">{escape(series.label)}</text>')
     return parts
 
 
-def _apart(ends: Sequence[tuple[float, Series]]) -> list[tuple[float, Series]]:
+def _apart(ends: Sequence[tuple[float, float, Series]]) -> list[tuple[float, float, Series]]:
     """Labels from the top, moved down where they would overlap, and all up again where they leave the axes."""
-    placed: list[tuple[float, Series]] = []
-    for y, series in sorted(ends, key=lambda end: end[0]):
-        placed.append((max(y, placed[-1][0] + _LABEL_STEP) if placed else y, series))
+    placed: list[tuple[float, float, Series]] = []
+    for x, y, series in sorted(ends, key=lambda end: end[1]):
+        placed.append((x, max(y, placed[-1][1] + _LABEL_STEP) if placed else y, series))
     lowest = float(HEIGHT)
     for place in range(len(placed) - 1, -1, -1):
-        y, series = placed[place]
-        placed[place] = (min(y, lowest), series)
-        lowest = placed[place][0] - _LABEL_STEP
+        x, y, series = placed[place]
+        placed[place] = (x, min(y, lowest), series)
+        lowest = placed[place][1] - _LABEL_STEP
     return placed

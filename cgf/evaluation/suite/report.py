@@ -49,7 +49,7 @@ def update_documents(root: Path, summaries: Sequence[Summary], rows: Sequence[Ro
     replace_marked(root / DOCUMENT, document(summaries, titles), command=COMMAND)
     written = [root / README, root / DOCUMENT]
     for name, draw in _PLOTS.items():
-        write_text(root / "docs" / name, draw(summaries, titles))
+        write_text(root / "docs" / name, draw(summaries))
         written.append(root / "docs" / name)
     for row in rows:
         scores = card_scores(row, summaries)

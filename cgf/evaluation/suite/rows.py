@@ -124,7 +124,7 @@ def _learned(name: str | None, path: Path) -> Row:
     except ValueError as error:
         raise InputError(str(error)) from error
     if name is None:
-        dims = tuple(dim for dim in card.dims if dim in COMPARED_DIMS) or card.dims[-1:]
+        dims = tuple(dim for dim in card.dims if card.nested and dim in COMPARED_DIMS) or card.dims[-1:]
         return Row(
             name=path.stem.removesuffix(f"-{card.model}"),
             model=card.model,
