@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
     if options.data_folder is None:
         raise InputError("--data must be given with --suite; it is the folder of the benchmark data")
     from cgf.evaluation.matches import check_output, write_text
-    from cgf.evaluation.suite import report, tables
+    from cgf.evaluation.suite import report
     from cgf.evaluation.suite.rows import find_rows
     from cgf.evaluation.suite.running import run_suite
     from cgf.evaluation.suite.sets import QUICK_PAIRS, find_groups
@@ -71,8 +71,7 @@ def run(options: argparse.Namespace) -> int:
         results = run_suite(groups, rows, options.kept, progress=progress, told=lambda line: note(options, line))
     summaries = summarise(results)
     titles = {row.name: row.title for row in rows}
-    print("\n".join(tables.comparison(summaries, tables.headline_columns(), titles)))
-    print(f"\n{report.document(summaries, titles)}")
+    print(report.document(summaries, titles))
     output = options.kept / "results.json" if options.output is None else options.output
     write_text(output, report.as_json(summaries, results))
     note(options, f"Wrote {output}")

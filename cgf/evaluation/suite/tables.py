@@ -216,7 +216,7 @@ def _table(
         for column in zip(*(v for _, v in lines), strict=True)
     ]
     text = [f"| | {' | '.join(heads)} |", f"|---|{'--:|' * len(heads)}"]
-    for name, values in lines:
+    for name, values in lines if heads else ():
         cells = [_cell(value, bold and value == top) for value, top in zip(values, tops, strict=True)]
         text.append(f"| {name} | {' | '.join(cells)} |")
     return text
