@@ -109,12 +109,14 @@ class Scorer:
         if key not in self._clouds:
             cloud = self._raw[path]
             if change is not None:
+                # The model's lengths, not those of some weights, so that every row sees the same change.
+                lengths = MODEL_DEFAULTS[settings.model].scaled(settings.diameter)
                 cloud = perturb(
                     cloud,
                     change,
-                    voxel_size=settings.voxel_size,
-                    normal_radius=settings.normal_radius,
-                    hole_radius=settings.lrf_radius,
+                    voxel_size=lengths.voxel_size,
+                    normal_radius=lengths.normal_radius,
+                    hole_radius=lengths.support_radius / 3,
                     rng=_rng(path, str(change)),
                 )
             self._clouds[key] = pipeline.prepare(cloud, settings)
