@@ -30,6 +30,15 @@ class Job:
         if self._cancelled.is_set():
             raise Cancelled
 
+    def pause(self, seconds: float) -> None:
+        """Wait, but not for longer than somebody wants the result.
+
+        Raises:
+            Cancelled: A later request has taken this one's place.
+        """
+        if self._cancelled.wait(seconds):
+            raise Cancelled
+
     def progress(self, share: float, text: str) -> None:
         """Tell how far the work is; stops it if nobody wants the result any more."""
         self.check()

@@ -40,6 +40,9 @@ Listener = Callable[[], None]
 PROGRESS_INTERVAL_S = 0.25
 """Between two notices of one stage's progress: each has the browser paint the page, scene included, which without a
 graphics card takes the time of the computation itself."""
+PAINT_S = 0.25
+"""Left to the browser after new matches, before the pose is estimated, which takes all processors: without a graphics
+card, painting the points in their new colours needs them too."""
 
 
 class Session:
@@ -364,6 +367,8 @@ class Session:
             self._analyst.load_kernels(analysis)
 
         def estimate(job: Job, analysis: Analysis, elapsed_s: float) -> None:
+            if self._is_watched():
+                job.pause(PAINT_S)
             registration = self._analyst.register(analysis, job)
             with self._lock:
                 job.check()
@@ -453,6 +458,10 @@ class Session:
 
     def _touch(self) -> None:
         self._revision += 1
+
+    def _is_watched(self) -> bool:
+        with self._lock:
+            return bool(self._listeners)
 
     def _notify(self) -> None:
         with self._lock:

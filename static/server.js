@@ -21,8 +21,26 @@ export const offline = () => isOffline;
 /** Call `listener` after every change of the state, of its status alone where its argument says so. */
 export const listen = (listener) => listeners.push(listener);
 
+// Where no graphics card helps, painting the page and drawing the scene wait for each other: a change's colours go first,
+// then what the page says of it, and what it would say only until then is left out.
+const AFTER_COLORS_MS = 60;
+const LONGEST_MS = 150;
+let due = null; // a timer
+let dueBy = null;
+
 function tell({ onlyStatus = false } = {}) {
+  if (!onlyStatus) {
+    clearTimeout(due);
+    dueBy = null;
+  }
   for (const listener of listeners) listener({ onlyStatus });
+}
+
+function tellAfterColors() {
+  const now = performance.now();
+  dueBy ??= now + LONGEST_MS;
+  clearTimeout(due);
+  due = setTimeout(tell, Math.min(AFTER_COLORS_MS, dueBy - now));
 }
 
 // One request at a time: while one is under way, later changes gather and go together.
@@ -103,7 +121,9 @@ function lost() {
 function show(next, { onlyStatus = false } = {}) {
   // Answers and events may overtake each other.
   if (latest && next.revision < latest.revision) return;
+  const isFirst = latest === null || isOffline;
   isOffline = false;
   latest = next;
-  tell({ onlyStatus });
+  if (onlyStatus || isFirst) tell({ onlyStatus });
+  else tellAfterColors();
 }

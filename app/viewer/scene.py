@@ -16,6 +16,7 @@ OVERLAY_PIXELS = 2.6
 FLIGHT_STEPS = 8
 FLIGHT_S = 0.3
 _USUAL_ASPECT = 1.7
+_FAR_AWAY = np.full((2, 3), 1e6, np.float32)
 
 
 class SceneView:
@@ -33,6 +34,12 @@ class SceneView:
         self._flights = 0
         self._lock = threading.Lock()
         server.initial_camera.fov = float(FIELD_OF_VIEW)
+        # With new colours viser's client makes a new material, and drops the last one first: unless another cloud holds
+        # their shader, it is compiled again, which takes longer than to draw. This one is too far away to be seen.
+        server.scene.add_point_cloud(
+            "/keeps-shader", _FAR_AWAY, np.zeros((2, 3), np.uint8), point_shape="circle", point_shading="flat",
+            precision="float32",
+        )  # fmt: skip
         server.on_client_connect(self._frame)
 
     def update(self) -> None:

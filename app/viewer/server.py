@@ -20,8 +20,7 @@ Clicks are not among them: `app.viewer.pointer` checks them in viser's place."""
 
 _LATE = "Queued a .* on a closed connection"
 
-# What viser's own panel, notices and palette would show is on our page, with labels and without covering the scene. Its
-# sorter for Gaussian splats, which are never drawn here, needs `eval`; that our policy refuses it is no error.
+# What viser's own panel, notices and palette would show is on our page, with labels and without covering the scene.
 _CLIENT_HEAD = """<style>
   /* Named twice, to weigh more than viser's own choice. */
   :root:root { color-scheme: light dark; }
@@ -32,9 +31,7 @@ _CLIENT_HEAD = """<style>
     light-dark(#eef1f4, #465062) 0%, light-dark(#dde3ea, #343d4b) 55%, light-dark(#cdd5df, #29313d) 100%); }
   .mantine-Paper-root, .mantine-Notifications-root, .mantine-Modal-root { display: none !important; }
 </style>
-<script>
-  addEventListener("unhandledrejection", (event) => { if (event.reason instanceof EvalError) event.preventDefault(); });
-</script>"""
+<script src="../static/viewer.js"></script>"""
 
 
 def client_page() -> str:

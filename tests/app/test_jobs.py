@@ -100,3 +100,21 @@ def test_progress_is_kept_between_0_and_1(recorder: Recorder) -> None:
     recorder.worker.submit(lambda job: job.progress(1.7, "over"))
     assert recorder.worker.wait_until_idle(LONG_S)
     assert recorder.progress == [(1.0, "over")]
+
+
+def test_a_pause_ends_early_where_nobody_wants_the_result_any_more(recorder: Recorder) -> None:
+    started, outcomes = threading.Event(), []
+
+    def work(job: Job) -> None:
+        started.set()
+        try:
+            job.pause(LONG_S)
+        except Cancelled:
+            outcomes.append("cancelled")
+            raise
+
+    recorder.worker.submit(work)
+    assert started.wait(LONG_S)
+    recorder.worker.cancel()
+    assert recorder.worker.wait_until_idle(LONG_S / 2)
+    assert outcomes == ["cancelled"]

@@ -115,7 +115,8 @@ def test_positions_are_sent_once_and_a_change_sends_colours_alone(served: Served
     assert session.wait_until_idle(LONG_S)
     with open_scene(served) as socket:
         first = [_decompressed(message) for message in received_until(served, socket, "/first")]
-        assert sum(message.count(b"PointCloudMessage") for message in first) == 2
+        # Both clouds, and the one that keeps their shader.
+        assert sum(message.count(b"PointCloudMessage") for message in first) == 3
         picture = session.picture()
         assert picture is not None
         points = len(picture.source.points) + len(picture.target.points)

@@ -75,6 +75,34 @@ def test_colouring_by_features_changes_the_pixels_and_the_state(viewer: Viewer) 
     expect(viewer.page.locator("#legend-title")).to_contain_text("like features, like colours")
 
 
+def test_new_colours_are_in_the_next_frame_and_need_no_shader_compiled(viewer: Viewer) -> None:
+    before = viewer.pixels()
+    viewer.frame.evaluate("""() => {
+      const seen = window.seenByTest = { draws: 0, programs: 0 };
+      const count = (name, run) => {
+        const given = WebGL2RenderingContext.prototype[name];
+        WebGL2RenderingContext.prototype[name] = function (...values) {
+          run(...values);
+          return given.apply(this, values);
+        };
+      };
+      count("drawArrays", () => { seen.draws += 1; });
+      count("linkProgram", () => { seen.programs += 1; });
+      count("bufferSubData", (_, __, data) => { if (data instanceof Uint8Array) seen.uploaded = seen.draws; });
+      const { drainMessageQueue, messageQueue } = window.__viserMutable;
+      window.__viserMutable.drainMessageQueue = () => {
+        if (messageQueue.length) seen.taken = seen.draws;
+        drainMessageQueue();
+      };
+    }""")
+    viewer.served.session.change({"palette": "viridis"})
+    viewer.pixels_after(before)
+    seen = viewer.frame.evaluate("window.seenByTest")
+    assert seen["draws"] > 0
+    assert seen["uploaded"] == seen["taken"]
+    assert seen["programs"] == 0
+
+
 def test_another_dimension_is_matched_and_shown(viewer: Viewer) -> None:
     full, before = viewer.settle(), viewer.pixels()
     viewer.page.get_by_role("radio", name="8", exact=True).check()
