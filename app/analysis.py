@@ -318,7 +318,7 @@ class Analyst:
         correspondences = matches.correspondences.take(pipeline.filtered_rows(matches, resolved))
         registration = self._registrations.get(
             "register",
-            (analysis.index, resolved.match_key, resolved.mutual, resolved.max_ratio),
+            (analysis.index, resolved.match_key, resolved.mutual, resolved.max_ratio, resolved.surest),
             lambda: pipeline.register_pair(
                 analysis.source, analysis.target, correspondences, resolved, cancelled=job.is_cancelled
             ),
@@ -379,4 +379,4 @@ def _unknown_errors(table: MatchTable) -> MatchErrors:
 
 def kept_rows(table: MatchTable, settings: ViewSettings) -> npt.NDArray[np.int64]:
     """Rows of `table` that pass the filters chosen in the page."""
-    return filter_rows(table, mutual=settings.mutual, max_ratio=settings.max_ratio)
+    return filter_rows(table, mutual=settings.mutual, max_ratio=settings.max_ratio, surest=settings.surest)

@@ -40,6 +40,7 @@ STAGE_COLORS: dict[Rejection, tuple[int, int, int]] = {
     "no_partner": NO_PARTNER,
     "not_mutual": (150, 96, 190),
     "above_ratio": (72, 136, 214),
+    "unsure": (58, 156, 140),
     "outlier": (214, 92, 44),
     "none": (229, 222, 120),
 }
@@ -96,7 +97,7 @@ def _error_table(palette: Palette) -> Colors:
 ERROR_TABLES: dict[Palette, Colors] = {palette: _error_table(palette) for palette in _ANCHORS}
 """(256, 3) each; the first row means no error, the last the error scale or more."""
 DISTANCE_TABLE: Colors = ERROR_TABLES["viridis"]
-"""(256, 3); the first row means the most alike features, the last the most unlike."""
+"""(256, 3); the first row means the most alike features or the best ones, the last the most unlike or worst."""
 
 
 def error_colors(
@@ -130,6 +131,13 @@ def distance_colors(distances: npt.ArrayLike, *, low: float, high: float) -> Col
     shares = np.log(np.clip(np.where(missing, high, values), low, high) / low) / np.log(high / low)
     colors: Colors = DISTANCE_TABLE[np.rint(shares * (_LEVELS - 1)).astype(np.int64)]
     colors[missing] = NO_MATCH
+    return colors
+
+
+def quality_colors(qualities: npt.ArrayLike) -> Colors:
+    """Colours of features by their quality, from 0 to 1: light is distinctive."""
+    steps = (1 - np.clip(np.asarray(qualities, dtype=np.float64), 0, 1)) * (_LEVELS - 1)
+    colors: Colors = DISTANCE_TABLE[np.rint(steps).astype(np.int64)]
     return colors
 
 

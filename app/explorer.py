@@ -64,7 +64,7 @@ class Explorer:
         if scores is None:
             return NO_FINDINGS
         # The scores stay the same as long as the matches and the pose that judges them do.
-        stages_key = (scores, analysis.estimate, settings.mutual, settings.max_ratio)
+        stages_key = (scores, analysis.estimate, settings.mutual, settings.max_ratio, settings.surest)
         if self._stages is None or not _same(self._stages[0], stages_key):
             self._stages = (stages_key, find_stages(analysis, scores, settings))
         picked_key = (scores, settings.picked)
@@ -102,12 +102,12 @@ def find_stages(analysis: Analysis, scores: Scores, settings: ViewSettings) -> S
         source=rejections(
             analysis.source, source_features, matches, analysis.resolved,
             has_partner=scores.source_partner if is_known else None, is_inlier=agreeing(matches, back=False),
-            mutual=settings.mutual, max_ratio=settings.max_ratio,
+            mutual=settings.mutual, max_ratio=settings.max_ratio, surest=settings.surest,
         ),
         target=rejections(
             analysis.target, target_features, back_matches, analysis.resolved,
             has_partner=scores.target_partner if is_known else None, is_inlier=agreeing(back_matches, back=True),
-            mutual=settings.mutual, max_ratio=settings.max_ratio,
+            mutual=settings.mutual, max_ratio=settings.max_ratio, surest=settings.surest,
         ),
         judged=estimate is not None,
     )  # fmt: skip

@@ -45,6 +45,7 @@ _STEPS: dict[Rejection, str] = {
     "no_partner": "Overlapping",
     "not_mutual": "Mutual",
     "above_ratio": "Ratio",
+    "unsure": "Surest",
     "outlier": "Inliers",
 }
 """What passes each stage."""
@@ -68,7 +69,7 @@ def funnel_of(
     asked = {
         "no_frame": framed, "no_feature": undescribed or not framed, "no_partner": is_judged,
         "not_mutual": settings.mutual, "above_ratio": settings.max_ratio is not None,
-        "outlier": findings.stages.judged,
+        "unsure": settings.surest is not None, "outlier": findings.stages.judged,
     }  # fmt: skip
     for code, (stage, name) in enumerate(_STEPS.items()):
         if asked[stage]:
@@ -87,6 +88,7 @@ def stage_text(stage: Rejection, *, judged: bool) -> str:
         "no_partner": "no true partner",
         "not_mutual": "not mutual",
         "above_ratio": "above the ratio",
+        "unsure": "not among the surest",
         "outlier": "outlier",
         "none": "inlier" if judged else "passes",
     }[stage]

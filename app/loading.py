@@ -23,7 +23,8 @@ MAX_UPLOAD = 1 << 30
 MAX_RECENT = 10
 _POSE_SUFFIXES = (".txt", ".log", ".npy", ".csv")
 _KEPT = (
-    "descriptor", "mutual", "max_ratio", "line_count", "line_choice", "palette", "point_size", "layout", "coloring",
+    "descriptor", "mutual", "max_ratio", "surest", "line_count", "line_choice", "palette", "point_size", "layout",
+    "coloring",
 )  # fmt: skip
 """Settings that hold for the next pair too; the others belong to one pair."""
 

@@ -42,6 +42,7 @@ def match_command(pair: PairSource, settings: ViewSettings) -> str:
         ("--lrf-radius", settings.lrf_radius),
         ("--voxel", settings.voxel_size),
         ("--ratio", settings.max_ratio),
+        ("--surest", settings.surest),
         ("--unit", None if settings.unit == "m" else settings.unit),
         ("--source-scale", None if settings.source_scale == 1 else settings.source_scale),
         ("--normals", None if settings.normals == "stored" else settings.normals),

@@ -23,6 +23,7 @@ from app.colors import (
     error_colors,
     feature_basis,
     feature_colors,
+    quality_colors,
     shaded_colors,
     stage_colors,
 )
@@ -328,7 +329,15 @@ def shown_coloring(analysis: Analysis, scores: Scores | None, settings: ViewSett
         return "stage"
     if wanted == "distance" and distance_range(findings.picked) is not None:
         return "distance"
+    if wanted == "quality" and has_quality(analysis):
+        return "quality"
     return "error" if wanted != "features" and scores is not None and scores.reference is not None else "features"
+
+
+def has_quality(analysis: Analysis) -> bool:
+    """Whether the features say how distinctive they are."""
+    both = (analysis.source_features, analysis.target_features)
+    return all(features is not None and features.quality is not None for features in both)
 
 
 def point_colors(
@@ -373,7 +382,10 @@ def _prepared_colors(
             _errors_of_points(len(analysis.target), analysis.back_matches, scores.back, scores.target_partner,
                               settings, scale),
         )  # fmt: skip
-    source, target = _colors_of_features(source_features, target_features)
+    if source_features.quality is not None and target_features.quality is not None and coloring == "quality":
+        source, target = quality_colors(source_features.quality), quality_colors(target_features.quality)
+    else:
+        source, target = _colors_of_features(source_features, target_features)
     return (
         _spread(source_features, source, len(analysis.source)),
         _spread(target_features, target, len(analysis.target)),
@@ -479,6 +491,9 @@ def lines(
     if by_stage:
         assert findings.stages is not None
         return indices[chosen], stage_colors(findings.stages.source[indices[chosen, 0]])
+    quality = analysis.matches.quality
+    if coloring == "quality" and quality is not None:
+        return indices[chosen], quality_colors(quality[chosen])
     scale = error_scale(analysis, settings)
     colors = error_colors(
         scores.forward.errors[chosen], scale=scale, palette=settings.palette,

@@ -215,8 +215,9 @@ def _precision(
         return None
     pose = tuple(known[1].ravel().tolist())
     errors = _judged_errors(
-        table, scores, analysis.source, analysis.target, pose, mutual=settings.mutual, max_ratio=settings.max_ratio
-    )
+        table, scores, analysis.source, analysis.target, pose,
+        mutual=settings.mutual, max_ratio=settings.max_ratio, surest=settings.surest,
+    )  # fmt: skip
     precision = metrics.precision(errors, threshold=near)
     return precision if math.isfinite(precision) else None
 
@@ -224,9 +225,10 @@ def _precision(
 @lru_cache(maxsize=48)
 def _judged_errors(
     table: MatchTable, scores: Scores, source: PointCloud, target: PointCloud, pose: tuple[float, ...], *,
-    mutual: bool, max_ratio: float | None,
+    mutual: bool, max_ratio: float | None, surest: float | None,
 ) -> npt.NDArray[np.float64]:  # fmt: skip
     """Errors of the matches that pass the filters and have a true partner; asked for again as the threshold moves."""
-    indices = table.correspondences.indices[filter_rows(table, mutual=mutual, max_ratio=max_ratio)]
+    rows = filter_rows(table, mutual=mutual, max_ratio=max_ratio, surest=surest)
+    indices = table.correspondences.indices[rows]
     indices = indices[scores.source_partner[indices[:, 0]]]
     return metrics.correspondence_errors(source.points, target.points, indices, np.array(pose).reshape(4, 4))

@@ -10,6 +10,7 @@ from app.analysis import Analysis, Scores
 from app.explorer import Findings
 from app.funnel import stage_text
 from cgf.pipeline import ALIKE, REJECTIONS, PointInspection, Rejection, Side, Surroundings, best_turn, shell_edges
+from cgf.types import Features
 
 BINS = 40
 """Of the distribution of feature distances."""
@@ -81,6 +82,10 @@ class PointDetails:
     label: str
     mutual: bool | None
     """Whether its match is mutual; None without a match."""
+    quality: float | None
+    """Of its feature, from 0 to 1; None where the descriptor does not say."""
+    surer: float | None
+    """Share of its own cloud's features whose quality is higher."""
     candidates: tuple[Candidate, ...]
     """The match and the runners-up."""
     partner: Partner | None
@@ -117,6 +122,7 @@ def point_details(
     assert table is not None
     assert other_features is not None
     row = picked.point.row
+    quality, surer = _quality(analysis.source_features if is_source else analysis.target_features, row)
     code = int((stages.source if is_source else stages.target)[row])
     match_rows = np.flatnonzero(table.correspondences.indices[:, 0] == row)
     distances = table.correspondences.distances
@@ -129,6 +135,8 @@ def point_details(
         stage=REJECTIONS[code],
         label=stage_text(REJECTIONS[code], judged=stages.judged),
         mutual=bool(table.mutual[match_rows[0]]) if len(match_rows) else None,
+        quality=quality,
+        surer=surer,
         candidates=_candidates(picked, near=near),
         partner=_partner(picked),
         features=len(other_features),
@@ -142,6 +150,14 @@ def point_details(
         match_histogram=_histogram(picked.match, picked.point),
         partner_histogram=_histogram(picked.partner, picked.point),
     )
+
+
+def _quality(features: Features | None, row: int) -> tuple[float | None, float | None]:
+    """Quality of the feature of a row, and the share of features that are better."""
+    if features is None or features.quality is None or row not in features.indices:
+        return None, None
+    own = features.quality[features.indices == row][0]
+    return float(own), float(np.mean(features.quality > own))
 
 
 def _candidates(picked: PointInspection, *, near: float) -> tuple[Candidate, ...]:

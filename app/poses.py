@@ -121,7 +121,8 @@ class PoseTable:
 
     def rows(self, analysis: Analysis, settings: ViewSettings) -> tuple[PoseRow, ...]:
         """Every pose that is known, and every run, also those that found nothing."""
-        basis = (id(analysis.source), id(analysis.target), id(analysis.matches), settings.mutual, settings.max_ratio)
+        filters = (settings.mutual, settings.max_ratio, settings.surest)
+        basis = (id(analysis.source), id(analysis.target), id(analysis.matches), *filters)
         if basis != self._basis:
             self._measured, self._basis = {}, basis
         chosen = analysis.chosen_run

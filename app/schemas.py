@@ -89,6 +89,7 @@ class SettingsPatch(BaseModel):
     flip_normals: Flip = "none"
     mutual: bool = False
     max_ratio: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
+    surest: Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)] | None = None
     line_count: Annotated[int, Field(ge=0, le=MAX_LINES)] = 300
     line_choice: LineChoice = "stratified"
     error_scale: Length | None = None

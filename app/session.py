@@ -237,7 +237,7 @@ class Session:
                 raise InputError("There are no matches yet; wait until they are computed.")
             picked = stepped(analysis, scores, self._settings, by=by)
             if picked is None:
-                raise InputError("No match passes the filters; relax the ratio or switch off mutual.")
+                raise InputError("No match passes the filters; relax them.")
         return self.change({"picked": picked, "isolate": True})
 
     def open(self, pair: PairSource, settings: Mapping[str, Any]) -> Snapshot:

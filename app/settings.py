@@ -13,7 +13,7 @@ LineChoice = Literal["stratified", "random", "best", "worst"]
 Layout = Literal["side_by_side", "overlaid"]
 Pose = Literal["loaded", "ground_truth", "estimate"]
 Reference = Literal["ground_truth", "estimate"]
-Coloring = Literal["error", "features", "original", "stage", "distance", "residual"]
+Coloring = Literal["error", "features", "original", "stage", "distance", "quality", "residual"]
 Palette = Literal["paper", "viridis", "blue_orange"]
 Normals = Literal["stored", "estimated"]
 Flip = Literal["none", "source", "target", "both"]
@@ -100,6 +100,8 @@ class ViewSettings:
     """Keep only matches that are each other's nearest."""
     max_ratio: float | None = None
     """Keep only matches at most this share of the second nearest's distance away; None keeps all."""
+    surest: float | None = None
+    """Keep only this share of all matches, the surest by ratio and quality; None keeps all."""
     line_count: int = 300
     """How many matches are drawn as lines."""
     line_choice: LineChoice = "stratified"
@@ -165,7 +167,7 @@ class ViewSettings:
     @property
     def match_key(self) -> tuple[object, ...]:
         """All that needs new matches when it changes; filters choose among those that there are."""
-        return (self.pair, replace(self.pair_settings(), mutual=False, max_ratio=None))
+        return (self.pair, replace(self.pair_settings(), mutual=False, max_ratio=None, surest=None))
 
     def changed(self, changes: Mapping[str, Any], *, pairs: int) -> "ViewSettings":
         """These settings with some replaced and every number clamped to what can be drawn.

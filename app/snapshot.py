@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -19,12 +19,13 @@ from app.colors import (
     are_colors_usable,
     distance_colors,
     error_colors,
+    quality_colors,
     shaded_colors,
 )
 from app.compare import ColumnInfo
 from app.explorer import Findings, distance_range
 from app.funnel import PickedInfo, Step, stage_text
-from app.picture import error_scale, residual_scale, shown_coloring
+from app.picture import error_scale, has_quality, residual_scale, shown_coloring
 from app.plots import right_within
 from app.poses import shown_pose
 from app.settings import MAX_LINES, POINT_SIZES, Coloring, Pose, Reference, ViewSettings
@@ -105,6 +106,7 @@ class Controls:
     """The one in use."""
     poses: tuple[Pose, ...]
     references: tuple[Reference, ...]
+    colorings: tuple[Coloring, ...]
     support_radius: Limits
     lrf_radius: Limits
     voxel_size: Limits
@@ -275,6 +277,11 @@ def controls_of(analysis: Analysis) -> Controls:
         dim=resolved.dim,
         poses=tuple(poses),
         references=tuple(references),
+        # While features are computed, nobody knows yet whether they will have a quality.
+        colorings=tuple(
+            name for name in get_args(Coloring)
+            if name != "quality" or analysis.source_features is None or has_quality(analysis)
+        ),
         support_radius=Limits(
             max(2 * spacing, defaults.support_radius / 8), min(resolved.diameter, 2.5 * defaults.support_radius),
             defaults.support_radius,
@@ -346,6 +353,8 @@ def legend_of(analysis: Analysis, scores: Scores | None, settings: ViewSettings,
         return _distance_legend(findings)
     if coloring == "stage":
         return _stage_legend(findings)
+    if coloring == "quality":
+        return _quality_legend()
     if coloring == "residual":
         scale = residual_scale(analysis, settings)
         ramp = error_colors(np.linspace(0, scale, LEGEND_STEPS), scale=scale, palette=settings.palette)
@@ -404,6 +413,18 @@ def _distance_legend(findings: Findings) -> Legend:
     )
 
 
+def _quality_legend() -> Legend:
+    ramp = quality_colors(np.linspace(0, 1, LEGEND_STEPS))
+    return Legend(
+        "quality",
+        "Quality of features · Lines: product of both ends",
+        tuple(hexed(color) for color in ramp.tolist()),
+        None,
+        (Swatch(hexed(NO_MATCH), "no feature"),),
+        tuple(Tick(value, f"{value:g}") for value in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)),
+    )
+
+
 def _stage_legend(findings: Findings) -> Legend:
     assert findings.stages is not None
     present = set(np.unique(np.concatenate([findings.stages.source, findings.stages.target])).tolist())
@@ -434,7 +455,7 @@ def messages_of(
             text = f"Under the {name} the clouds do not overlap: no source point comes within {resolved.tau:.3g} of the"
             found.append(Message("warning", f"{text} target. Check the pose, and that both files belong to this pair."))
         elif not numbers.matches:
-            found.append(Message("warning", "No match passes the filters; relax the ratio or switch off mutual."))
+            found.append(Message("warning", "No match passes the filters; relax them."))
         if analysis.truth is None:
             found.append(Message("info", "No ground truth: errors are relative to the estimate."))
     return found

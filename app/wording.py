@@ -6,6 +6,7 @@ _PAGE_WORDS = {
     "--radius": "Support radius",
     "--voxel": "Voxel size",
     "--ratio": "Ratio",
+    "--surest": "Surest",
     "--descriptor": "Descriptor",
     "--dim": "Dimensions",
     "--unit": "Unit",

@@ -94,7 +94,9 @@ class Workbench:
         initial = shown.matrix if start is None else known_poses(analysis)[start]
         start = start or shown.name or "between"
         # The filters are those of the page, which the matches may have been computed before.
-        resolved = replace(analysis.resolved, mutual=settings.mutual, max_ratio=settings.max_ratio)
+        resolved = replace(
+            analysis.resolved, mutual=settings.mutual, max_ratio=settings.max_ratio, surest=settings.surest
+        )
 
         def work(job: Job) -> None:
             began = time.perf_counter()

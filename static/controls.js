@@ -1,12 +1,12 @@
 // The settings at the left: what they show, and what they send.
 
 import { $, copyText, element, options, setUnlessBusy, watchBusy } from "./lib/dom.js";
-import { count, field, significant } from "./lib/format.js";
+import { count, field, percent, significant } from "./lib/format.js";
 import * as server from "./server.js";
 
 const LENGTHS = ["support_radius", "lrf_radius", "voxel_size", "error_scale"];
 const DEFAULTS = {
-  descriptor: "cgf", dim: null, support_radius: null, lrf_radius: null, voxel_size: null, mutual: false, max_ratio: null, line_count: 300,
+  descriptor: "cgf", dim: null, support_radius: null, lrf_radius: null, voxel_size: null, mutual: false, max_ratio: null, surest: null, line_count: 300,
   line_choice: "stratified", error_scale: null, point_size: 1, layout: "side_by_side", pose: null, reference: null,
   coloring: "error", palette: "paper",
 };
@@ -31,7 +31,7 @@ export function renderControls({ controls, unit, command, ...state }) {
   };
   for (const group of document.querySelectorAll("#controls [data-setting]")) {
     const name = group.dataset.setting;
-    const offered = { pose: controls.poses, reference: controls.references }[name];
+    const offered = { pose: controls.poses, reference: controls.references, coloring: controls.colorings }[name];
     for (const input of group.querySelectorAll("input")) {
       input.checked = input.value === current[name];
       input.disabled = offered !== undefined && !offered.includes(input.value);
@@ -53,6 +53,8 @@ export function renderControls({ controls, unit, command, ...state }) {
   $("mutual").checked = settings.mutual;
   setUnlessBusy($("max_ratio"), settings.max_ratio ?? 1);
   $("max_ratio-value").textContent = settings.max_ratio === null ? "off" : settings.max_ratio.toFixed(2);
+  setUnlessBusy($("surest"), settings.surest ?? 1);
+  $("surest-value").textContent = settings.surest === null ? "all" : percent(settings.surest, 0);
   setUnlessBusy($("line_count"), linesToSlider(settings.line_count, controls.line_count));
   $("line_count-value").textContent = count(settings.line_count);
   setUnlessBusy($("line_choice"), settings.line_choice);
@@ -102,6 +104,10 @@ export function listenToControls(page) {
     const ratio = Number(event.target.value);
     change({ max_ratio: ratio >= 1 ? null : ratio });
   });
+  $("surest").addEventListener("input", (event) => {
+    const share = Number(event.target.value);
+    change({ surest: share >= 1 ? null : share });
+  });
   $("line_count").addEventListener("input", (event) =>
     limits() && change({ line_count: linesFromSlider(event.target.value, limits().line_count) }));
   const resetView = () => api("camera/reset", { method: "POST" });
@@ -116,8 +122,11 @@ export function listenToControls(page) {
     run: () => change({ layout: server.chosen().layout === "overlaid" ? "side_by_side" : "overlaid" }),
   });
   page.command("mutual", { label: "Mutual matches only, or all", keys: "m", run: () => change({ mutual: !server.chosen().mutual }) });
+  page.command("surest", {
+    label: "Surest tenth of the matches only, or all", run: () => change({ surest: server.chosen().surest === null ? 0.1 : null }),
+  });
   for (const [coloring, label] of [["error", "error"], ["features", "features"], ["original", "original colours"],
-    ["stage", "the stage that rejects"], ["distance", "distance to the picked point"]]) {
+    ["stage", "the stage that rejects"], ["distance", "distance to the picked point"], ["quality", "the quality of features"]]) {
     page.command(`color-${coloring}`, { label: `Colour by ${label}`, run: () => change({ coloring }) });
   }
   page.command("defaults", { label: "All settings back to what suits this pair", run: () => change({ ...DEFAULTS }) });

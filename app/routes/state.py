@@ -84,4 +84,5 @@ async def _set_within(event: asyncio.Event, timeout_s: float) -> bool:
 
 
 def _event(name: str, data: object) -> str:
-    return f"event: {name}\ndata: {json.dumps(data, allow_nan=False)}\n\n"
+    # The path of own weights is the only value that is no plain one.
+    return f"event: {name}\ndata: {json.dumps(data, allow_nan=False, default=str)}\n\n"

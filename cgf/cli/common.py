@@ -104,6 +104,12 @@ def add_matching_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--ratio", type=float, metavar="Q", help="keep only matches within this share of the second nearest's distance"
     )
+    group.add_argument(
+        "--surest",
+        type=float,
+        metavar="SHARE",
+        help="keep only this share of all matches, the surest by their features",
+    )
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +126,7 @@ def feature_settings(options: argparse.Namespace) -> "PairSettings":
     fields = {
         "model": "model", "descriptor": "descriptor", "dim": "dim", "radius": "support_radius",
         "min_radius": "min_radius", "lrf_radius": "lrf_radius", "voxel": "voxel_size", "mutual": "mutual",
-        "ratio": "max_ratio", "weights": "weights", "seed": "seed", "unit": "unit",
+        "ratio": "max_ratio", "surest": "surest", "weights": "weights", "seed": "seed", "unit": "unit",
         "source_scale": "source_scale", "normals": "normals", "flip_normals": "flip_normals",
     }  # fmt: skip
     given = {field: getattr(options, option, None) for option, field in fields.items()}

@@ -64,7 +64,8 @@ def export_matches(
     """Write `rows` of `table` to a CSV or NPZ file, one column or array a value.
 
     The columns are `source_index`, `target_index` (rows of the prepared clouds), `source_x` to `target_z` (their
-    coordinates, in the files' own frames and units), `feature_distance`, `ratio`, `mutual`, `error` and `has_partner`.
+    coordinates, in the files' own frames and units), `feature_distance`, `ratio`, `mutual`, `error` and `has_partner`;
+    where the descriptor says them, also `source_quality` and `target_quality`.
     CSV holds every digit a float needs to be read back unchanged; booleans are 0 and 1.
 
     Raises:
@@ -121,6 +122,7 @@ def _columns(
 ) -> dict[str, Any]:
     chosen = table.correspondences.take(rows)
     source_points, target_points = source.points[chosen.indices[:, 0]], target.points[chosen.indices[:, 1]]
+    qualities = {"source_quality": table.source_quality, "target_quality": table.target_quality}
     return {
         "source_index": chosen.indices[:, 0],
         "target_index": chosen.indices[:, 1],
@@ -131,6 +133,7 @@ def _columns(
         "mutual": table.mutual[rows],
         "error": measured.errors[rows],
         "has_partner": measured.has_partner[rows],
+        **{name: values[rows] for name, values in qualities.items() if values is not None},
     }
 
 

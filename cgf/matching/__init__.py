@@ -1,10 +1,11 @@
-"""Exact nearest neighbours in feature space, and the two filters people apply to them."""
+"""Exact nearest neighbours in feature space, and the filters people apply to them."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Float32, Int64
 
+from cgf.matching.ranking import surest_rows, trust
 from cgf.types import Correspondences, Features, IsCancelled, Progress
 
 
@@ -16,6 +17,23 @@ class MatchTable:
     """One per source feature, in the order of the source's features."""
     mutual: Bool[np.ndarray, "C"]
     """Whether the source feature is also the nearest of its target feature."""
+    source_quality: Float32[np.ndarray, "C"] | None = None
+    """`Features.quality` of the source features; None where the descriptor does not say."""
+    target_quality: Float32[np.ndarray, "C"] | None = None
+    """The same of the target features."""
+
+    @property
+    def quality(self) -> Float32[np.ndarray, "C"] | None:
+        """The product of the qualities of both features of each match; None where the descriptor does not say."""
+        if self.source_quality is None or self.target_quality is None:
+            return None
+        return self.source_quality * self.target_quality
+
+    @property
+    def trust(self) -> Float32[np.ndarray, "C"]:
+        """The larger, the surer a match is: by its ratio, and by the qualities of its features where they are known."""
+        quality = self.quality
+        return trust(self.correspondences, "ratio" if quality is None else "combined", quality=quality)
 
     def __len__(self) -> int:
         return len(self.correspondences)
@@ -55,10 +73,17 @@ def match(
     ratios = np.ones(len(source))
     np.divide(distances, second, out=ratios, where=second > 0)
     correspondences = Correspondences(indices, distances.astype(np.float32), ratios.astype(np.float32))
-    return MatchTable(correspondences, found.back[found.first] == np.arange(len(source)))
+    return MatchTable(
+        correspondences,
+        found.back[found.first] == np.arange(len(source)),
+        source.quality,
+        None if target.quality is None else target.quality[found.first],
+    )
 
 
-def filter_rows(table: MatchTable, *, mutual: bool = False, max_ratio: float | None = None) -> Int64[np.ndarray, "R"]:
+def filter_rows(
+    table: MatchTable, *, mutual: bool = False, max_ratio: float | None = None, surest: float | None = None
+) -> Int64[np.ndarray, "R"]:
     """Rows of `table` that pass the filters, ascending.
 
     Args:
@@ -66,24 +91,34 @@ def filter_rows(table: MatchTable, *, mutual: bool = False, max_ratio: float | N
         mutual: Keep a match only where each of the two is the other's nearest.
         max_ratio: Keep a match only where its distance is at most this share of the distance to
             the second nearest (Lowe's ratio test); in (0, 1], None for no such filter.
+        surest: Keep this share of all matches, those with the largest `trust`; in (0, 1], None for no such filter.
 
     Raises:
-        ValueError: `max_ratio` is outside (0, 1].
+        ValueError: `max_ratio` or `surest` is outside (0, 1].
     """
     if max_ratio is not None and not 0 < max_ratio <= 1:
         raise ValueError(f"max_ratio must be above 0 and at most 1, got {max_ratio:g}")
     keep = table.mutual.copy() if mutual else np.ones(len(table), dtype=bool)
     if max_ratio is not None:
         keep &= table.correspondences.ratios <= np.float32(max_ratio)
+    if surest is not None:
+        among = np.zeros(len(table), dtype=bool)
+        among[surest_rows(table.trust, share=surest)] = True
+        keep &= among
     return np.flatnonzero(keep)
 
 
 def nearest(
-    source: Features, target: Features, *, mutual: bool = False, max_ratio: float | None = None
+    source: Features,
+    target: Features,
+    *,
+    mutual: bool = False,
+    max_ratio: float | None = None,
+    surest: float | None = None,
 ) -> Correspondences:
     """Match and filter in one step; arguments, order and errors as in `match` and `filter_rows`."""
     table = match(source, target)
-    return table.correspondences.take(filter_rows(table, mutual=mutual, max_ratio=max_ratio))
+    return table.correspondences.take(filter_rows(table, mutual=mutual, max_ratio=max_ratio, surest=surest))
 
 
 def empty_correspondences() -> Correspondences:

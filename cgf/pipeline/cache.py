@@ -128,7 +128,7 @@ def match_key(source: Features, target: Features) -> str:
     """A digest of all that `match` depends on."""
     digest = hashlib.blake2b(code_version(), digest_size=_DIGEST_BYTES)
     for features in (source, target):
-        _add(digest.update, features.descriptor, features.indices, features.vectors)
+        _add(digest.update, features.descriptor, features.indices, features.vectors, features.quality)
     return digest.hexdigest()
 
 
@@ -191,12 +191,13 @@ def match_cached(
     arrays = cache.get(key)
     if arrays is not None:
         correspondences = Correspondences(arrays["indices"], arrays["distances"], arrays["ratios"])
-        return MatchTable(correspondences, arrays["mutual"])
+        return MatchTable(correspondences, arrays["mutual"], arrays.get("source_quality"), arrays.get("target_quality"))
     table = match_features(source, target, settings, progress=progress, cancelled=cancelled)
     found = table.correspondences
-    cache.put(
-        key, {"indices": found.indices, "distances": found.distances, "ratios": found.ratios, "mutual": table.mutual}
-    )
+    arrays = {"indices": found.indices, "distances": found.distances, "ratios": found.ratios, "mutual": table.mutual}
+    if table.source_quality is not None and table.target_quality is not None:
+        arrays |= {"source_quality": table.source_quality, "target_quality": table.target_quality}
+    cache.put(key, arrays)
     return table
 
 

@@ -11,7 +11,7 @@ from cgf.pipeline.inspection import frames, uses_frames
 from cgf.pipeline.settings import ResolvedSettings
 from cgf.types import Features, PointCloud
 
-Rejection = Literal["no_frame", "no_feature", "no_partner", "not_mutual", "above_ratio", "outlier", "none"]
+Rejection = Literal["no_frame", "no_feature", "no_partner", "not_mutual", "above_ratio", "unsure", "outlier", "none"]
 REJECTIONS: tuple[Rejection, ...] = get_args(Rejection)
 """In the order of the stages; `none` passes them all. Their places are the codes of `rejections`."""
 
@@ -26,6 +26,7 @@ def rejections(
     is_inlier: Bool[np.ndarray, "C"] | None = None,
     mutual: bool = False,
     max_ratio: float | None = None,
+    surest: float | None = None,
 ) -> Int8[np.ndarray, "N"]:
     """The first stage that rejects each point of a prepared cloud, or its match.
 
@@ -39,6 +40,7 @@ def rejections(
         is_inlier: Which rows of `table` agree with the pose that an estimator found; None without one.
         mutual: Whether matches had to be mutual.
         max_ratio: Largest ratio accepted, None for any.
+        surest: Share of the matches that were kept, the surest; None for all.
 
     Returns:
         Indices into `REJECTIONS`.
@@ -50,6 +52,7 @@ def rejections(
     if is_inlier is not None:
         stages[~is_inlier] = code["outlier"]
     # From the last stage to the first, so that the first that rejects is the one that stays.
+    stages[_failing(table, filter_rows(table, surest=surest))] = code["unsure"]
     stages[_failing(table, filter_rows(table, max_ratio=max_ratio))] = code["above_ratio"]
     stages[_failing(table, filter_rows(table, mutual=mutual))] = code["not_mutual"]
     rows = table.correspondences.indices[:, 0]

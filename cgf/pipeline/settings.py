@@ -48,6 +48,8 @@ class PairSettings:
     """Keep only matches that are each other's nearest."""
     max_ratio: float | None = None
     """Keep only matches at most this share of the second nearest's distance away."""
+    surest: float | None = None
+    """Keep only this share of all matches: those that are surest by ratio, and by quality where features have it."""
     seed: int = 0
     """Of the registration's random samples."""
     weights: Path | None = None
@@ -110,6 +112,7 @@ class ResolvedSettings:
     """Of the registration."""
     mutual: bool
     max_ratio: float | None
+    surest: float | None
     seed: int
     weights: Path | None
     unit_m: float = 1.0
@@ -225,6 +228,8 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
         )
     if settings.max_ratio is not None and not 0 < settings.max_ratio <= 1:
         raise InputError(f"--ratio must be above 0 and at most 1, got {settings.max_ratio:g}; try 0.9")
+    if settings.surest is not None and not 0 < settings.surest <= 1:
+        raise InputError(f"--surest must be above 0 and at most 1, got {settings.surest:g}; try 0.5")
     if settings.seed < 0:
         raise InputError(f"--seed must be 0 or more, got {settings.seed}")
     return ResolvedSettings(
@@ -246,6 +251,7 @@ def resolve(settings: PairSettings, source: PointCloud, target: PointCloud) -> R
         inlier_distance=max(defaults.tau, 1.5 * spacing),
         mutual=settings.mutual,
         max_ratio=settings.max_ratio,
+        surest=settings.surest,
         seed=settings.seed,
         weights=settings.weights,
         unit_m=unit_m,

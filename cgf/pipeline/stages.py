@@ -188,7 +188,7 @@ def at_dim(features: Features, settings: ResolvedSettings) -> Features:
 
 def filtered_rows(table: MatchTable, settings: ResolvedSettings) -> Int64[np.ndarray, "R"]:
     """Rows of `table` that pass the filters that `settings` ask for."""
-    return filter_rows(table, mutual=settings.mutual, max_ratio=settings.max_ratio)
+    return filter_rows(table, mutual=settings.mutual, max_ratio=settings.max_ratio, surest=settings.surest)
 
 
 def run_pair(

@@ -132,6 +132,7 @@ function changeText(name, value, unit) {
     flip_normals: () => (value === "none" ? "normals as they are" : `turn round normals of ${value === "both" ? "both clouds" : `the ${value}`}`),
     mutual: () => (value ? "mutual matches only" : "all matches"),
     max_ratio: () => (value === null ? "no ratio limit" : `ratio limit ${value}`),
+    surest: () => (value === null ? "all matches, not the surest alone" : `surest ${percent(value, 0)}`),
     model: () => `model ${value}`,
   }[name]();
 }

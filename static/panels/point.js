@@ -163,7 +163,7 @@ function renderTable({ unit }) {
   parts.rows.replaceChildren(...listed);
 }
 
-function facts({ candidates, partner, features, nearer_matches, modes, modes_apart, side, stage }, unit) {
+function facts({ quality, surer, candidates, partner, features, nearer_matches, modes, modes_apart, side, stage }, unit) {
   const known = candidates.some(({ error }) => error !== null);
   const found = [];
   if (!candidates.length) found.push(stage === "no_frame" ? "No feature: too few neighbours for a local frame." : "No feature.");
@@ -172,6 +172,7 @@ function facts({ candidates, partner, features, nearer_matches, modes, modes_apa
   else if (partner) found.push("The true partner has no feature.");
   else if (known) found.push("No true partner: the other cloud ends before.");
   if (nearer_matches !== null) found.push(`Match nearer than ${percent(1 - nearer_matches, 0)} of the ${side}'s.`);
+  if (quality !== null) found.push(`Quality ${quality.toFixed(2)}: higher than of ${percent(1 - surer, 0)} of the ${side}'s.`);
   if (modes > 1) found.push(`${modes === 100 ? "100 or more" : modes} places look alike, ${length(modes_apart, unit)} or more apart.`);
   else if (modes === 1) found.push("No other place looks alike.");
   return found;

@@ -143,7 +143,7 @@ const lengths = ["support_radius", "min_radius", "lrf_radius", "normal_radius", 
 pairs($("settings"), [
   ["Descriptor", `${resolved.descriptor.toUpperCase()}, ${resolved.dim} dimensions`],
   ...lengths.filter((name) => typeof resolved[name] === "number").map((name) => [named(name), length(resolved[name], unit, 3)]),
-  ["Filters", [settings.mutual && "mutual", settings.max_ratio !== null && `ratio ≤ ${settings.max_ratio}`].filter(Boolean).join(", ") || "none"],
+  ["Filters", [settings.mutual && "mutual", settings.max_ratio !== null && `ratio ≤ ${settings.max_ratio}`, settings.surest !== null && `surest ${percent(settings.surest, 0)}`].filter(Boolean).join(", ") || "none"],
   ["Diameter", `${significant(unit.diameter, 4)} ${unit.name}`],
 ]);
 

@@ -81,6 +81,7 @@ def test_a_change_is_answered_with_the_new_state(app: FastAPI) -> None:
     [
         ('{"line_count": 100000}', "Line count should be less than or equal to 5000."),
         ('{"max_ratio": 1.5}', "Max ratio should be less than or equal to 1."),
+        ('{"surest": 0}', "Surest should be greater than 0."),
         ('{"point_size": NaN}', "Point size should be"),
         ('{"support_radius": -1}', "Support radius should be greater than 0."),
         ('{"support_radius": 1e400}', "Support radius should be"),

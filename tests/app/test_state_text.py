@@ -14,6 +14,7 @@ from cgf.checks import InputError
             "dim": st.integers(1, 512),
             "support_radius": st.floats(1e-6, 1e6),
             "max_ratio": st.floats(0.1, 1.0),
+            "surest": st.floats(0.01, 1.0),
             "mutual": st.booleans(),
             "line_count": st.integers(0, 5000),
             "palette": st.sampled_from(["paper", "viridis", "blue_orange"]),

@@ -167,6 +167,11 @@ def test_the_keyboard_reaches_and_moves_the_controls(viewer: Viewer) -> None:
         viewer.page.keyboard.press("End")
     expect(viewer.page.locator("#line_count-value")).to_have_text("2,000")
     assert viewer.settle()["settings"]["line_count"] == 2000
+    viewer.page.get_by_label("Surest").focus()
+    with viewer.page.expect_response("**/api/settings"):
+        viewer.page.keyboard.press("Home")
+    expect(viewer.page.locator("#surest-value")).to_have_text("2 %")
+    assert viewer.settle()["settings"]["surest"] == 0.02
 
 
 def test_every_control_has_a_name(viewer: Viewer) -> None:

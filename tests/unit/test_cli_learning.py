@@ -10,6 +10,7 @@ from cgf import cli
 from cgf.datasets.demo import load_demo
 from cgf.descriptors.network import Network, read_network, shipped_weights, write_network
 from cgf.io import write_cloud
+from tests.judging import write_judging
 
 
 @pytest.fixture
@@ -34,6 +35,21 @@ def test_own_weights_are_used_with_the_lengths_of_their_card(clouds, tmp_path):
     settings = json.loads(str(stored["settings"]))
     assert stored["features"].shape[1] == 16
     assert settings["support_radius"] == pytest.approx(0.3 * settings["diameter"])
+
+
+def test_match_writes_the_quality_of_both_features_of_the_surest_matches(tmp_path):
+    pair = load_demo()
+    paths = [str(tmp_path / name) for name in ("a.npz", "b.npz")]
+    for path, cloud in zip(paths, (pair.source, pair.target), strict=True):
+        write_cloud(path, cloud)
+    weights = ["--weights", str(write_judging(tmp_path / "judging.safetensors")), "--voxel", "0.1"]
+    for name, more in (("all", []), ("some", ["--surest", "0.2"])):
+        assert cli.main(["match", *paths, "-o", str(tmp_path / f"{name}.npz"), *weights, *more]) == 0
+    every, kept = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("all", "some"))
+    trust = every["source_quality"] * every["target_quality"] * (1 - every["ratio"])
+    rows = np.sort(np.argsort(-trust, kind="stable")[: round(0.2 * len(trust))])
+    for name, values in kept.items():
+        np.testing.assert_array_equal(values, every[name][rows])
 
 
 @pytest.mark.parametrize(

@@ -173,23 +173,23 @@ def table_of(ratios: list[float], mutual: list[bool]) -> MatchTable:
 
 
 def test_each_point_is_rejected_by_the_first_stage_that_it_fails(result: PairResult) -> None:
-    # Row 0 is alone, row 6 has a frame but no feature, rows 1 to 5 fail one stage after the other.
+    # Row 0 is alone, row 7 has a frame but no feature, rows 1 to 6 fail one stage after the other.
     near = hilly(400, 3)
     assert near.normals is None
     cloud = replace(
         near, points=np.concatenate([[[0.0, 0.0, 9.0]], near.points[:399]]), normals=np.tile([0.0, 0.0, 1.0], (400, 1))
     )
-    features = Features(np.arange(1, 6), np.zeros((5, 32), dtype=np.float32), "cgf")
-    table = table_of([1.0, 1.0, 0.95, 0.5, 0.5], [False, False, True, True, True])
+    features = Features(np.arange(1, 7), np.zeros((6, 32), dtype=np.float32), "cgf")
+    table = table_of([1.0, 1.0, 0.95, 0.85, 0.5, 0.5], [False, False, True, True, True, True])
     codes = rejections(
         cloud, features, table, result.settings,
-        has_partner=np.arange(400) != 1, is_inlier=np.array([True, True, True, False, True]), mutual=True,
-        max_ratio=0.9,
+        has_partner=np.arange(400) != 1, is_inlier=np.array([True, True, True, True, False, True]), mutual=True,
+        max_ratio=0.9, surest=1 / 3,
     )  # fmt: skip
-    expected = ["no_frame", "no_partner", "not_mutual", "above_ratio", "outlier", "none", "no_feature"]
-    assert [REJECTIONS[code] for code in codes[:7]] == expected
+    expected = ["no_frame", "no_partner", "not_mutual", "above_ratio", "unsure", "outlier", "none", "no_feature"]
+    assert [REJECTIONS[code] for code in codes[:8]] == expected
     unfiltered = rejections(cloud, features, table, result.settings)
-    assert [REJECTIONS[code] for code in unfiltered[:7]] == ["no_frame", *["none"] * 5, "no_feature"]
+    assert [REJECTIONS[code] for code in unfiltered[:8]] == ["no_frame", *["none"] * 6, "no_feature"]
 
 
 def test_points_that_are_not_rejected_are_the_matches_that_pass(result: PairResult) -> None:

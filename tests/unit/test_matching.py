@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -142,7 +143,7 @@ def test_nothing_matches_nothing(sources: int, targets: int) -> None:
     assert len(table) == 0
     assert table.correspondences.indices.shape == (0, 2)
     assert table.mutual.shape == (0,)
-    assert filter_rows(table, mutual=True, max_ratio=0.5).shape == (0,)
+    assert filter_rows(table, mutual=True, max_ratio=0.5, surest=0.5).shape == (0,)
 
 
 def some_table() -> MatchTable:
@@ -213,6 +214,30 @@ def test_progress_rises_to_one() -> None:
 def ranked_features(quality: list[float] | None) -> Features:
     values = None if quality is None else np.array(quality, np.float32)
     return Features(np.array([7, 2, 5]), np.eye(3, dtype=np.float32), "cgf", values)
+
+
+def test_the_table_says_the_quality_of_both_features() -> None:
+    source, target = (ranked_features(values) for values in ([0.5, 1.0, 0.8], [1.0, 0.25, 0.5]))
+    table = match(source, replace(target, vectors=target.vectors[[2, 0, 1]]))
+    assert table.source_quality is not None
+    assert table.target_quality is not None
+    np.testing.assert_array_equal(table.source_quality, np.array([0.5, 1.0, 0.8], np.float32))
+    np.testing.assert_array_equal(table.target_quality, np.array([0.25, 0.5, 1.0], np.float32))
+    np.testing.assert_array_equal(table.quality, match_quality(source, target, table.correspondences))
+    assert match(source, ranked_features(None)).quality is None
+
+
+def test_the_surest_share_is_kept_by_quality_and_ratio_or_by_ratio_alone() -> None:
+    table = some_table()
+    assert filter_rows(table, surest=1 / 3).tolist() == [0]
+    assert filter_rows(table, surest=0.67, mutual=True).tolist() == [0]
+    judged = replace(table, source_quality=np.array([0.1, 1, 1], np.float32), target_quality=np.ones(3, np.float32))
+    # 0.1 * 0.5, 1 * 0.2, 1 * 0.1
+    assert filter_rows(judged, surest=1 / 3).tolist() == [1]
+    assert filter_rows(judged, surest=0.67).tolist() == [1, 2]
+    assert filter_rows(judged, surest=1.0).tolist() == [0, 1, 2]
+    with pytest.raises(ValueError, match=r"share must be above 0 and at most 1, got 0"):
+        filter_rows(judged, surest=0.0)
 
 
 def test_matches_are_ranked_by_what_is_asked_for() -> None:

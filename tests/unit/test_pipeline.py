@@ -168,6 +168,7 @@ def test_frames_are_large_enough_for_sparse_clouds() -> None:
         ({"lrf_radius": 9.0}, r"--lrf-radius must be .* got 9; try 0\.25"),
         ({"max_ratio": 0.0}, r"--ratio must be above 0 and at most 1, got 0; try 0\.9"),
         ({"max_ratio": 1.1}, r"--ratio must be above 0 and at most 1, got 1\.1; try 0\.9"),
+        ({"surest": 0.0}, r"--surest must be above 0 and at most 1, got 0; try 0\.5"),
         ({"seed": -1}, r"--seed must be 0 or more, got -1"),
         ({"descriptor": "sift"}, r"--descriptor must be one of cgf, fpfh, pca, got sift"),
         ({"dim": 7}, r"--dim must be one of 33 with --descriptor fpfh, got 7"),

@@ -22,6 +22,7 @@ from cgf.pipeline import (
     resolve,
 )
 from tests.app.scenes import bumpy_cloud
+from tests.judging import write_judging
 
 ARRAYS = {"numbers": np.arange(6).reshape(2, 3), "none": np.zeros((0, 32), np.float32), "flags": np.array([True])}
 
@@ -157,20 +158,25 @@ def test_the_folder_is_where_the_user_wants_caches(monkeypatch, tmp_path):
         assert cache.default_folder() == tmp_path / ".cache" / "cgf-viewer"
 
 
-def test_features_and_matches_are_read_where_they_were_computed_before(disk, prepared, resolved, monkeypatch):
+def test_features_and_matches_are_read_where_they_were_computed_before(disk, prepared, resolved, monkeypatch, tmp_path):
+    resolved = replace(resolved, weights=write_judging(tmp_path / "judging.safetensors"))
     expected = describe(prepared, resolved)
-    half = replace(expected, indices=expected.indices[::2], vectors=expected.vectors[::2])
+    half = replace(
+        expected, indices=expected.indices[::2], vectors=expected.vectors[::2], quality=expected.quality[::2]
+    )
     table = match_features(expected, half, resolved)
     for _ in range(2):
         found = describe_cached(prepared, resolved, disk)
         np.testing.assert_array_equal(found.indices, expected.indices)
         np.testing.assert_array_equal(found.vectors, expected.vectors)
+        np.testing.assert_array_equal(found.quality, expected.quality)
         assert found.descriptor == "cgf"
         matched = match_cached(found, half, resolved, disk)
         for name in ("indices", "distances", "ratios"):
             wanted = getattr(table.correspondences, name)
             np.testing.assert_array_equal(getattr(matched.correspondences, name), wanted)
-        np.testing.assert_array_equal(matched.mutual, table.mutual)
+        for name in ("mutual", "source_quality", "target_quality"):
+            np.testing.assert_array_equal(getattr(matched, name), getattr(table, name))
         # From here on nothing is computed any more.
         monkeypatch.setattr(cache, "describe", None)
         monkeypatch.setattr(cache, "match_features", None)

@@ -32,8 +32,8 @@ def command_options(changes: dict[str, Any]) -> str:
     """The changes as options of the command line."""
     names = {
         "model": "--model", "support_radius": "--radius", "min_radius": "--min-radius", "lrf_radius": "--lrf-radius",
-        "voxel_size": "--voxel", "max_ratio": "--ratio", "unit": "--unit", "source_scale": "--source-scale",
-        "normals": "--normals", "flip_normals": "--flip-normals",
+        "voxel_size": "--voxel", "max_ratio": "--ratio", "surest": "--surest", "unit": "--unit",
+        "source_scale": "--source-scale", "normals": "--normals", "flip_normals": "--flip-normals",
     }  # fmt: skip
     shown = {name: f"{value:g}" if isinstance(value, float) else value for name, value in changes.items()}
     given = [f"{names[name]} {value}" for name, value in shown.items() if name in names and value is not None]

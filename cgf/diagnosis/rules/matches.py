@@ -239,9 +239,10 @@ def judge_filters(measured: Measures) -> Finding | None:
     kept, asked = len(measured.case.rows), len(measured.asked)
     if measured.outcome == "registered" or kept >= RELIABLE_COUNT or kept >= asked:
         return None
+    changes = {"max_ratio": None} | ({} if measured.case.settings.surest is None else {"surest": None})
     return finding(
         "filters", "matching", "problem", f"The filters leave only {kept} of {len(measured.case.table):,} matches.",
-        (Evidence("Matches left", kept, "count", RELIABLE_COUNT),), "Relax the ratio filter.", {"max_ratio": None}, 0.9,
+        (Evidence("Matches left", kept, "count", RELIABLE_COUNT),), "Relax the filters.", changes, 0.9,
     )  # fmt: skip
 
 
