@@ -9,7 +9,7 @@ from app.analysis import Analysis
 from app.picture import draw, place
 from app.session import Session
 from app.settings import ViewSettings
-from app.shown import choose_shown
+from app.shown import choose_shown, thinned_rows
 from cgf.geometry.sampling import voxel_downsample
 from cgf.pipeline import PairSettings, describe, prepare, resolve
 from cgf.types import PointCloud
@@ -37,6 +37,24 @@ def test_a_cloud_of_too_many_points_is_thinned_evenly(limit: int) -> None:
     assert 0.4 < left / len(shown.cloud) < 0.65
     np.testing.assert_array_equal(loaded.points[shown.prepared_rows], shown.cloud.points)
     assert shown.spacing == pytest.approx(np.sqrt(2 / len(shown.cloud)), rel=0.3)
+
+
+def test_an_edge_found_on_a_part_of_many_points_suits_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A few thousand are many here: one half of the wavy square has ten times as many points as the other.
+    monkeypatch.setattr("app.shown._SAMPLED", 5_000)
+    monkeypatch.setattr("app.shown._CELL", 4)
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.uniform(0, 1, size=(5_000, 3)), rng.uniform(0, 1, size=(50_000, 3)) - [1, 0, 0]])
+    points[:, 2] = 0.1 * np.sin(9 * points[:, 0])
+    rows = thinned_rows(points, limit=2_000)
+    # So few voxels a cell have many at its border, which count twice.
+    assert 1_200 < len(rows) <= 2_000
+    assert 0.4 < np.count_nonzero(points[rows, 0] < 0) / len(rows) < 0.6
+
+
+def test_repeated_points_are_thinned_to_one_of_each() -> None:
+    assert thinned_rows(np.ones((50, 3)), limit=10).tolist() == [0]
+    assert thinned_rows(np.repeat(np.eye(3), 20, axis=0), limit=10).tolist() == [0, 20, 40]
 
 
 def test_points_between_described_ones_have_their_colours() -> None:

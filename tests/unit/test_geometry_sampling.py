@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from cgf.geometry import sampling
-from cgf.geometry.sampling import voxel_downsample, voxel_rows
+from cgf.geometry.sampling import bounds, voxel_downsample, voxel_rows
 from cgf.types import PointCloud
 
 
@@ -86,3 +86,11 @@ def test_voxels_that_cannot_be_numbered_are_refused():
         voxel_downsample(cloud, 1e-12)
     with pytest.raises(ValueError, match=r"^voxel_size must be positive, got -1$"):
         voxel_downsample(cloud, -1.0)
+
+
+@pytest.mark.parametrize("count", [1, 63, 64, 1000])
+def test_bounds_are_the_least_and_largest_coordinates(count: int) -> None:
+    points = np.random.default_rng(count).normal(size=(count, 3))
+    lowest, highest = bounds(points)
+    np.testing.assert_array_equal(lowest, points.min(axis=0))
+    np.testing.assert_array_equal(highest, points.max(axis=0))
