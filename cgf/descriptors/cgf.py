@@ -6,6 +6,7 @@ from threadpoolctl import threadpool_limits
 
 from cgf.descriptors.device import embed_on_device, requested_device
 from cgf.descriptors.network import Network, load_network, unit_rows
+from cgf.descriptors.pooling import pool_features
 from cgf.descriptors.settings import DescriptorSettings
 from cgf.descriptors.spherical_histogram import histogram_grid
 from cgf.geometry.lrf import estimate_lrf
@@ -46,6 +47,8 @@ class HistogramDescriptor:
     ) -> Features:
         """Describe rows `indices` of `cloud`; points without a frame or a neighbour are left out.
 
+        The learned features are averaged over those of `indices` that lie within the innermost shell of each.
+
         Args:
             cloud: Prepared at about the density the network was trained on, with normals.
             indices: Rows of `cloud`.
@@ -67,7 +70,7 @@ class HistogramDescriptor:
         if device is not None:
             return self._describe_on(device, cloud, rows, frames, progress=progress, cancelled=cancelled)
         grid = histogram_grid(cloud.points, support_radius=settings.support_radius, min_radius=settings.min_radius)
-        vectors = np.empty((len(rows), settings.dim), np.float32)
+        vectors = np.empty((len(rows), card.dims[-1]), np.float32)
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         filled = np.ones(len(rows), dtype=np.bool_)
 
@@ -75,8 +78,7 @@ class HistogramDescriptor:
             raise_if_cancelled(cancelled)
             centers = cloud.points[rows[part]]
             histograms, counts = grid.histograms(centers, frames[part], soft=card.soft)
-            embedded, judged = self.network.embed_and_judge(histograms)
-            vectors[part] = self._shortened(embedded)
+            vectors[part], judged = self.network.embed_and_judge(histograms)
             if quality is not None:
                 quality[part] = judged
             filled[part] = counts > 0
@@ -88,7 +90,7 @@ class HistogramDescriptor:
         # Each of our threads multiplies its own matrices: quicker than all of them sharing one product.
         with threadpool_limits(1, user_api="blas"):
             for_each_block(fill, len(rows), block=_BLOCK, finished=report)
-        return self._features(rows, vectors, quality, filled)
+        return self._features(cloud, rows, vectors, quality, filled)
 
     def _describe_on(
         self,
@@ -101,7 +103,7 @@ class HistogramDescriptor:
         cancelled: IsCancelled | None,
     ) -> Features:
         settings, done = self.settings, 0
-        vectors = np.empty((len(rows), settings.dim), np.float32)
+        vectors = np.empty((len(rows), self.network.card.dims[-1]), np.float32)
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         counts = np.empty(len(rows), np.int64)
         for part, embedded, judged, found in embed_on_device(
@@ -114,24 +116,26 @@ class HistogramDescriptor:
             device=device,
             cancelled=cancelled,
         ):
-            vectors[part], counts[part] = self._shortened(embedded), found
+            vectors[part], counts[part] = embedded, found
             if quality is not None:
                 quality[part] = judged
             done += len(part)
             if progress is not None:
                 progress(done / len(rows), "describing points")
-        return self._features(rows, vectors, quality, counts > 0)
+        return self._features(cloud, rows, vectors, quality, counts > 0)
 
     def _features(
         self,
+        cloud: PointCloud,
         rows: Int64[np.ndarray, "K"],
-        vectors: Float32[np.ndarray, "K d"],
+        vectors: Float32[np.ndarray, "K D"],
         quality: Float32[np.ndarray, "K"] | None,
         kept: Bool[np.ndarray, "K"],
     ) -> Features:
-        return Features(rows[kept], vectors[kept], self._name, None if quality is None else quality[kept])
-
-    def _shortened(self, embedded: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K d"]:
-        """The dimensions asked for, of unit length if they come from the learned network."""
-        prefix = embedded[:, : self.settings.dim]
-        return unit_rows(prefix) if self.network.card.nested else prefix
+        """The features asked for, of what the network gave for `rows`."""
+        rows, vectors = rows[kept], vectors[kept]
+        if self.network.card.pooled:
+            vectors = pool_features(cloud.points[rows], vectors, radius=self.settings.min_radius)
+        prefix = vectors[:, : self.settings.dim]
+        prefix = unit_rows(prefix) if self.network.card.nested else np.ascontiguousarray(prefix)
+        return Features(rows, prefix, self._name, None if quality is None else quality[kept])

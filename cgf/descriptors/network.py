@@ -61,6 +61,9 @@ class NetworkCard:
     nested: bool = True
     """Whether features are compared at unit length, and those of fewer dimensions are prefixes of those of more."""
 
+    pooled: bool = True
+    """Whether features are averaged over the described points within `min_radius`."""
+
     @property
     def soft(self) -> bool:
         """Whether the network takes histograms with soft azimuth sectors."""
@@ -88,8 +91,8 @@ class NetworkCard:
         """
         try:
             values = json.loads(text)
-            # Cards written before these two could be chosen.
-            learned = dict.fromkeys(("root", "nested"), values["kind"] == "azimuth")
+            # Cards written before these could be chosen.
+            learned = dict.fromkeys(("root", "nested", "pooled"), values["kind"] == "azimuth")
             values = learned | values
             values["dims"], values["voxel_sizes"] = tuple(values["dims"]), tuple(values["voxel_sizes"])
             return cls(**values)

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float64
 
+_FEWEST = 10
+"""A cloud that would keep fewer points keeps them all."""
+
 
 @dataclass(frozen=True)
 class Augmentation:
@@ -14,8 +17,8 @@ class Augmentation:
     """The support is scaled by a factor within 1 plus or minus this, the same for both clouds."""
     stretch: float = 0.0
     """Both clouds are stretched along three random axes by up to 1 plus this, or shrunk by as much."""
-    mirror: bool = False
-    """Half of the overlaps are mirrored: other rooms, of the same kind."""
+    mirror: float = 0.0
+    """Share of the overlaps that are mirrored: other rooms, of the same kind."""
     holes: float = 0.0
     """Share of the clouds that lose up to five balls, of a radius from 0.1 to 0.5."""
     cut: float = 0.0
@@ -32,7 +35,7 @@ class Augmentation:
             axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
             most = np.log1p(self.stretch)
             shape = axes @ np.diag(np.exp(rng.uniform(-most, most, 3))) @ axes.T
-        if self.mirror and rng.random() < 0.5:
+        if self.mirror and rng.random() < self.mirror:
             shape = shape @ np.diag([-1.0, 1.0, 1.0])
         return shape
 
@@ -49,7 +52,7 @@ class Augmentation:
             direction = rng.normal(size=3)
             heights = points @ (direction / np.linalg.norm(direction))
             kept &= heights < np.quantile(heights, rng.uniform(0.5, 1.0))
-        return kept
+        return kept if kept.sum() >= _FEWEST else np.ones(len(points), dtype=np.bool_)
 
     def draw_frames(
         self, normals: Float64[np.ndarray, "K 3"], rng: np.random.Generator

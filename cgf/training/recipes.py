@@ -60,6 +60,7 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
         voxel_sizes=settings.voxel_sizes or (defaults.voxel_size,),
         root=settings.takes_roots and not pca,
         nested=settings.contrastive,
+        pooled=settings.contrastive,
         command=command,
         data=", ".join(path.name for path in ([settings.meshes] if settings.meshes else settings.scenes)),
         seed=settings.seed,
@@ -120,7 +121,9 @@ def _contrastive(
         tau=defaults.tau,
         size=settings.batch,
         per_batch=settings.overlaps_per_batch,
-        augmentation=Augmentation(),
+        augmentation=Augmentation(
+            stretch=settings.stretch, mirror=settings.mirror, holes=settings.holes, cut=settings.cut
+        ),
         seed=settings.seed,
         share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
     )

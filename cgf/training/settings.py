@@ -51,6 +51,14 @@ class TrainSettings:
     """Range of the standard deviation of the noise in range images, in diameters."""
     voxel_sizes: tuple[float, ...] = ()
     """For scenes: densities to train on, in metres; none stands for the model's own."""
+    stretch: float = 0.0
+    """Clouds are stretched along random axes by up to 1 plus this, or shrunk by as much."""
+    mirror: float = 0.0
+    """Share of the overlaps that are mirrored."""
+    holes: float = 0.0
+    """Share of the clouds that holes are cut into."""
+    cut: float = 0.0
+    """Share of the clouds that are cut off at a random plane."""
     precision: Literal["bfloat16", "float32"] = "float32"
     """bfloat16 is three times faster on processors with AMX."""
     device: DeviceChoice = "cpu"
@@ -79,6 +87,10 @@ class TrainSettings:
             )
         if not self.dims or list(self.dims) != sorted(set(self.dims)) or self.dims[0] < 1:
             raise ValueError(f"--dims must be ascending and positive, got {self.dims}")
+
+        for name in ("stretch", "mirror", "holes", "cut"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"--{name} must lie between 0 and 1, got {getattr(self, name):g}")
 
     @property
     def contrastive(self) -> bool:

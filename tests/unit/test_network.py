@@ -26,7 +26,7 @@ AZIMUTH = NetworkCard(
     lrf_radius=0.02,
     voxel_sizes=(0.006,),
 )
-PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", root=False, nested=False)
+PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", root=False, nested=False, pooled=False)
 
 
 def torch_network(kind):

@@ -140,7 +140,7 @@ def test_batches_depend_on_their_number_alone(fragments, frame):
             tau=0.01,
             size=64,
             per_batch=4,
-            augmentation=Augmentation(stretch=0.2, mirror=True, holes=0.5, cut=0.5),
+            augmentation=Augmentation(stretch=0.2, mirror=0.5, holes=0.5, cut=0.5),
             seed=3,
         )
 
@@ -272,7 +272,7 @@ def test_cards_say_which_steps_from_the_paper_to_ours_were_taken(
 
 def test_stretching_and_mirroring_keep_frames_right(fragments):
     """A mirrored cloud is described as if it had been scanned that way: z is its normal, frames are right-handed."""
-    augmentation, rng = Augmentation(stretch=0.3, mirror=True), np.random.default_rng(0)
+    augmentation, rng = Augmentation(stretch=0.3, mirror=0.5), np.random.default_rng(0)
     shapes = [augmentation.draw_shape(rng) for _ in range(40)]
     determinants = np.linalg.det(shapes)
     assert {-1.0, 1.0} == set(np.sign(determinants))
@@ -292,6 +292,8 @@ def test_holes_and_edges_take_points_away(fragments):
     for other in (Augmentation(keep_at_least=1.0, holes=1.0), Augmentation(keep_at_least=1.0, cut=1.0)):
         shares = [other.draw_kept(cloud.points, 0.17, rng).mean() for _ in range(10)]
         assert 0.3 < np.mean(shares) < 1
+    few = Augmentation(holes=1.0, cut=1.0)
+    assert all(few.draw_kept(cloud.points[:12], 9.0, rng).sum() >= 10 for _ in range(20))
 
 
 def test_a_checkpoint_of_other_settings_is_refused(meshes, fragments, tmp_path, monkeypatch):
