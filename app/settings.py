@@ -101,7 +101,7 @@ class ViewSettings:
     max_ratio: float | None = None
     """Keep only matches at most this share of the second nearest's distance away; None keeps all."""
     surest: float | None = None
-    """Keep only this share of all matches, the surest by ratio and quality; None keeps all."""
+    """Keep only this share of all matches, the surest by feature distance and quality; None keeps all."""
     line_count: int = 300
     """How many matches are drawn as lines."""
     line_choice: LineChoice = "stratified"

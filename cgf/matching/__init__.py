@@ -31,9 +31,9 @@ class MatchTable:
 
     @property
     def trust(self) -> Float32[np.ndarray, "C"]:
-        """The larger, the surer a match is: by its ratio, and by the qualities of its features where they are known."""
+        """The larger, the surer a match: by its distance, and by the qualities of its features where they are known."""
         quality = self.quality
-        return trust(self.correspondences, "ratio" if quality is None else "combined", quality=quality)
+        return trust(self.correspondences, "distance" if quality is None else "combined", quality=quality)
 
     def __len__(self) -> int:
         return len(self.correspondences)

@@ -5,29 +5,18 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float32, Int64
 
-from cgf.types import Correspondences, Features
+from cgf.types import Correspondences
 
 Ranking = Literal["distance", "ratio", "quality", "combined"]
 RANKINGS: tuple[Ranking, ...] = get_args(Ranking)
-"""By distance in feature space; by the ratio to the second nearest (Lowe); by the qualities of both features; by the
-product of both qualities and one minus the ratio."""
+"""By distance in feature space; by the ratio to the second nearest (Lowe); by the qualities of both features; by both
+qualities and the distance."""
+_DECAY = 4.0
+"""Of the trust with the distance: of 1, 2, 4 and 8 the best on rooms kept for validation.
 
-
-def match_quality(
-    source: Features, target: Features, correspondences: Correspondences
-) -> Float32[np.ndarray, "C"] | None:
-    """The product of the qualities of the two features of each match; None where the features have none.
-
-    Args:
-        source: Features matched.
-        target: Those matched with.
-        correspondences: Between them.
-    """
-    if source.quality is None or target.quality is None:
-        return None
-    indices = correspondences.indices
-    of_source = source.quality[_places(source.indices, indices[:, 0])]
-    return of_source * target.quality[_places(target.indices, indices[:, 1])]
+There the surest tenth of the matches of unit vectors was right in 48.7 % with it, in 39.4 % by distance, 32.9 % by
+quality and 31.9 % by ratio; the surest half in 34.0, 31.6, 28.8 and 25.7 %, of 22.1 % of all matches.
+"""
 
 
 def trust(
@@ -38,7 +27,7 @@ def trust(
     Args:
         correspondences: As `match` found them.
         by: What to go by.
-        quality: What `match_quality` gives.
+        quality: Product of the qualities of both features of each match, if they have any.
 
     Raises:
         ValueError: `by` needs the quality, and there is none.
@@ -49,7 +38,7 @@ def trust(
         return -correspondences.ratios
     if quality is None:
         raise ValueError(f"by must be distance or ratio where features have no quality, got {by}")
-    return quality if by == "quality" else quality * (np.float32(1.0) - correspondences.ratios)
+    return quality if by == "quality" else quality * np.exp(-np.float32(_DECAY) * correspondences.distances)
 
 
 def surest_rows(trusted: Float32[np.ndarray, "C"], *, share: float) -> Int64[np.ndarray, "R"]:
@@ -66,9 +55,3 @@ def surest_rows(trusted: Float32[np.ndarray, "C"], *, share: float) -> Int64[np.
         raise ValueError(f"share must be above 0 and at most 1, got {share:g}")
     count = max(round(share * len(trusted)), min(len(trusted), 1))
     return np.argsort(-trusted, kind="stable")[:count]
-
-
-def _places(indices: Int64[np.ndarray, "K"], rows: Int64[np.ndarray, "C"]) -> Int64[np.ndarray, "C"]:
-    """Where each of `rows` stands in `indices`."""
-    order = np.argsort(indices, kind="stable")
-    return order[np.searchsorted(indices, rows, sorter=order)]

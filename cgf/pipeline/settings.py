@@ -49,7 +49,7 @@ class PairSettings:
     max_ratio: float | None = None
     """Keep only matches at most this share of the second nearest's distance away."""
     surest: float | None = None
-    """Keep only this share of all matches: those that are surest by ratio, and by quality where features have it."""
+    """Keep only this share of all matches: surest by feature distance, and by quality where features have it."""
     seed: int = 0
     """Of the registration's random samples."""
     weights: Path | None = None

@@ -46,7 +46,7 @@ def test_match_writes_the_quality_of_both_features_of_the_surest_matches(tmp_pat
     for name, more in (("all", []), ("some", ["--surest", "0.2"])):
         assert cli.main(["match", *paths, "-o", str(tmp_path / f"{name}.npz"), *weights, *more]) == 0
     every, kept = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("all", "some"))
-    trust = every["source_quality"] * every["target_quality"] * (1 - every["ratio"])
+    trust = every["source_quality"] * every["target_quality"] * np.exp(-4 * every["feature_distance"])
     rows = np.sort(np.argsort(-trust, kind="stable")[: round(0.2 * len(trust))])
     for name, values in kept.items():
         np.testing.assert_array_equal(values, every[name][rows])

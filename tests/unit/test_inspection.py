@@ -167,7 +167,7 @@ def table_of(ratios: list[float], mutual: list[bool]) -> MatchTable:
     count = len(ratios)
     indices = np.column_stack([np.arange(1, count + 1), np.arange(count)])
     return MatchTable(
-        Correspondences(indices, np.ones(count, dtype=np.float32), np.array(ratios, dtype=np.float32)),
+        Correspondences(indices, *np.array([ratios, ratios], dtype=np.float32)),
         np.array(mutual),
     )
 

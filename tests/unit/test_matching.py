@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from cgf.matching import MatchTable, filter_rows, match, nearest
-from cgf.matching.ranking import RANKINGS, match_quality, surest_rows, trust
+from cgf.matching.ranking import RANKINGS, surest_rows, trust
 from cgf.matching.search import BLOCK
 from cgf.matching.tiles import LANES, ROWS
 from cgf.types import Cancelled, Correspondences, Features
@@ -223,11 +223,11 @@ def test_the_table_says_the_quality_of_both_features() -> None:
     assert table.target_quality is not None
     np.testing.assert_array_equal(table.source_quality, np.array([0.5, 1.0, 0.8], np.float32))
     np.testing.assert_array_equal(table.target_quality, np.array([0.25, 0.5, 1.0], np.float32))
-    np.testing.assert_array_equal(table.quality, match_quality(source, target, table.correspondences))
+    np.testing.assert_allclose(table.quality, [0.125, 0.5, 0.8])
     assert match(source, ranked_features(None)).quality is None
 
 
-def test_the_surest_share_is_kept_by_quality_and_ratio_or_by_ratio_alone() -> None:
+def test_the_surest_share_is_kept_by_quality_and_distance_or_by_distance_alone() -> None:
     table = some_table()
     assert filter_rows(table, surest=1 / 3).tolist() == [0]
     assert filter_rows(table, surest=0.67, mutual=True).tolist() == [0]
@@ -246,17 +246,14 @@ def test_matches_are_ranked_by_what_is_asked_for() -> None:
         np.array([0.3, 0.1, 0.2], np.float32),
         np.array([0.9, 0.95, 0.5], np.float32),
     )
-    quality = match_quality(ranked_features([0.5, 1.0, 0.8]), ranked_features([1.0, 0.25, 0.5]), matches)
-    assert quality is not None
-    np.testing.assert_allclose(quality, [1.0 * 1.0, 0.5 * 0.5, 0.8 * 0.25])
+    quality = np.array([1.0, 0.25, 0.8], np.float32)
     orders = {by: surest_rows(trust(matches, by, quality=quality), share=1.0).tolist() for by in RANKINGS}
-    assert orders == {"distance": [1, 2, 0], "ratio": [2, 0, 1], "quality": [0, 1, 2], "combined": [0, 2, 1]}
+    assert orders == {"distance": [1, 2, 0], "ratio": [2, 0, 1], "quality": [0, 2, 1], "combined": [2, 0, 1]}
     assert surest_rows(trust(matches, "ratio"), share=0.1).tolist() == [2]
 
 
 def test_features_without_quality_cannot_be_ranked_by_it() -> None:
     matches = Correspondences(np.array([[2, 7]]), np.ones(1, np.float32), np.ones(1, np.float32))
-    assert match_quality(ranked_features([1, 1, 1]), ranked_features(None), matches) is None
     with pytest.raises(ValueError, match="by must be distance or ratio where features have no quality, got quality"):
         trust(matches, "quality")
     with pytest.raises(ValueError, match=r"share must be above 0 and at most 1, got 0"):

@@ -107,9 +107,11 @@ def fingerprint(row: Row) -> str:
     settings = pipeline.resolve(row.settings, pair.source, pair.target)
     cloud = pipeline.prepare(pair.target, settings)
     places = np.linspace(0, len(cloud) - 1, _FINGERPRINT_POINTS).astype(np.int64)
-    features = pipeline.describe(cloud, settings, indices=places)
+    features = pipeline.describe(cloud, settings)
     digest = hashlib.blake2b(digest_size=16)
-    values = [features.vectors] if features.quality is None else [features.vectors, features.quality]
+    values = [
+        array[np.isin(features.indices, places)] for array in (features.vectors, features.quality) if array is not None
+    ]
     for array in values:
         digest.update((np.round(array, 3) + np.float32(0)).tobytes())
     lengths = (settings.voxel_size, settings.support_radius, settings.min_radius, settings.lrf_radius)

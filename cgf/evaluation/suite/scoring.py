@@ -19,7 +19,7 @@ from cgf.geometry.neighbors import build_tree
 from cgf.geometry.transforms import apply
 from cgf.io import PairFiles, read_cloud
 from cgf.matching import match
-from cgf.matching.ranking import RANKINGS, match_quality, surest_rows, trust
+from cgf.matching.ranking import RANKINGS, surest_rows, trust
 from cgf.pipeline import ResolvedSettings
 from cgf.types import Features, IsCancelled, PointCloud
 
@@ -75,11 +75,9 @@ class Scorer:
         source = self._prepared(pair.source, settings, change)
         target = self._prepared(pair.target, settings, None)
         rows = sample_rows(source, pair.source)
-        # A cloud of several pairs is the target of one and the source of another, so all of it is needed.
-        whole = (group.model == "indoor" or group.has_one_scale) and change is None
-        source_features = self._described(source, settings, None if whole else rows)
-        target_features = self._described(target, settings, None)
-        some = among(source_features, rows), among(target_features, sample_rows(target, pair.target))
+        target_features = self._described(target, settings)
+        # Only now is the sample taken: features may depend on those of the points around.
+        some = among(self._described(source, settings), rows), among(target_features, sample_rows(target, pair.target))
         moved = apply(pose, source.points)
         both = np.concatenate([apply(pose, raw[0].points), raw[1].points])
         diameter = float(np.linalg.norm(np.ptp(both, axis=0)))
@@ -122,17 +120,14 @@ class Scorer:
             self._clouds[key] = pipeline.prepare(cloud, settings)
         return self._clouds[key]
 
-    def _described(
-        self, cloud: PointCloud, settings: ResolvedSettings, rows: Int64[np.ndarray, "K"] | None
-    ) -> Features:
+    def _described(self, cloud: PointCloud, settings: ResolvedSettings) -> Features:
         # Prepared clouds are kept as long as features are, so no two of them have one identity.
-        key = (id(cloud), settings.description_key, rows is None)
+        key = (id(cloud), settings.description_key)
         if key not in self._features:
             start = process_time()
-            self._features[key] = pipeline.describe(cloud, settings, indices=rows, cancelled=self._cancelled)
+            self._features[key] = pipeline.describe(cloud, settings, cancelled=self._cancelled)
             self.describe_s += process_time() - start
-            # FPFH describes every point whatever is asked for.
-            self.described += len(cloud) if rows is None or settings.descriptor == "fpfh" else len(rows)
+            self.described += len(cloud)
         return self._features[key]
 
 
@@ -176,13 +171,13 @@ def _precision(
 ) -> PairScores:
     limits = MODEL_DEFAULTS[model].scaled(diameter)
     thresholds = np.array(THRESHOLDS[model]) * (diameter if MODEL_DEFAULTS[model].relative else 1.0)
-    found = match(source, target, cancelled=cancelled).correspondences
+    table = match(source, target, cancelled=cancelled)
+    found, quality = table.correspondences, table.quality
     errors = _errors(moved, target_points, found.indices)
     apart, _ = build_tree(target_points).query(moved[found.indices[:, 0]], distance_upper_bound=2 * thresholds[-1])
     partner = apart <= limits.tau
     near = [metrics.precision(errors[apart <= threshold], threshold=threshold) for threshold in thresholds]
     right = errors <= limits.precision_radius
-    quality = match_quality(source, target, found)
     sure = {}
     for by in RANKINGS if quality is not None else RANKINGS[:2]:
         trusted = trust(found, by, quality=quality)

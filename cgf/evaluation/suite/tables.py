@@ -16,7 +16,7 @@ Value = Callable[[Summary], float | None]
 HEADLINE_ROWS = ("cgf", "paper", "fpfh", "pca")
 """In the README and the plots, without the dimension at the end of the name; documents have all rows."""
 _LAST = {"fpfh": 1, "pca": 2}
-_RANKED = {"distance": "feature distance", "ratio": "ratio", "quality": "quality", "combined": "quality and ratio"}
+_RANKED = {"distance": "feature distance", "ratio": "ratio", "quality": "quality", "combined": "distance and quality"}
 
 
 @dataclass(frozen=True)
