@@ -1,8 +1,7 @@
 // The legend, painted with the colours that the server painted the scene with.
 
 import { $, element } from "./lib/dom.js";
-import { axisUnit, length, significant } from "./lib/format.js";
-import { roundValues } from "./lib/plot.js";
+import { rampMarks } from "./lib/plot.js";
 
 export function renderLegend({ legend, reference, unit }) {
   const against = legend.coloring === "error" && reference === "estimate" ? ", relative to the estimate" : "";
@@ -23,22 +22,13 @@ export function renderLegend({ legend, reference, unit }) {
       context.fillStyle = color;
       context.fillRect(column, 0, 1, 1);
     });
-    const marks = legend.ticks.length ? legend.ticks.map(({ at, label }) => [at, label]) : errorTicks(legend.scale, unit);
-    $("ramp-ticks").replaceChildren(...marks.map(([at, text]) => {
+    $("ramp-ticks").replaceChildren(...rampMarks(legend, unit).map(([at, text]) => {
       const tick = element("span", { textContent: text });
       tick.style.left = `${100 * at}%`;
       return tick;
     }));
     thinTicks();
   }
-}
-
-/** Marks of errors: shares of the scale, and texts. */
-function errorTicks(scale, unit) {
-  const { size } = axisUnit(scale, unit);
-  const marks = roundValues(0, scale / size).filter((value) => value * size < scale)
-    .map((value) => [(value * size) / scale, significant(value, 3)]);
-  return [...marks, [1, `≥ ${length(scale, unit)}`]];
 }
 
 /** Drop the labels that the last one, or the one before, leaves no room for. */

@@ -1,7 +1,7 @@
 // Plots as SVG: scales, axes and what is drawn along them.
 
 import { label, vector } from "./dom.js";
-import { axisUnit, significant } from "./format.js";
+import { axisUnit, length, significant } from "./format.js";
 
 /** Round values from `low` to `high`, about `wanted` of them. */
 export function roundValues(low, high, wanted = 6) {
@@ -14,6 +14,14 @@ export function roundValues(low, high, wanted = 6) {
     values.push(Number(value.toPrecision(6)));
   }
   return values;
+}
+
+/** Marks along the ramp of a legend, at shares of its width; errors leave the last `room` of it to what is beyond. */
+export function rampMarks({ ticks, scale }, unit, { wanted = 6, room = 0 } = {}) {
+  if (ticks.length) return ticks.map(({ at, label: text }) => [at, text]);
+  const { size } = axisUnit(scale, unit);
+  const inside = roundValues(0, scale / size, wanted).filter((value) => value * size < (1 - room) * scale);
+  return [...inside.map((value) => [(value * size) / scale, significant(value, 3)]), [1, `≥ ${length(scale, unit)}`]];
 }
 
 /** An axis of lengths from 0 to `last`, in the unit that suits them: its ticks are pairs of value and text. */

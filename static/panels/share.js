@@ -2,8 +2,7 @@
 
 import { copyScene } from "../camera.js";
 import { copyText, element } from "../lib/dom.js";
-import { axisUnit, length, significant } from "../lib/format.js";
-import { roundValues } from "../lib/plot.js";
+import { rampMarks } from "../lib/plot.js";
 import { restore, viewText } from "../links.js";
 
 const command = element("code", { id: "share-command" });
@@ -138,12 +137,10 @@ function paintLegend(context, { legend, unit }, { top, width, height, ratio }) {
     });
     context.fillStyle = style.color;
     context.font = `${11 * ratio}px ${style.fontFamily}`;
-    const { size } = axisUnit(legend.scale, unit);
-    const marks = roundValues(0, legend.scale / size, 5).filter((value) => value * size < 0.8 * legend.scale);
-    context.textAlign = "center";
-    for (const value of marks) write(significant(value, 3), x + (wide * value * size) / legend.scale, middle + 9 * ratio);
-    context.textAlign = "right";
-    write(`≥ ${length(legend.scale, unit)}`, x + wide, middle + 9 * ratio);
+    for (const [at, text] of rampMarks(legend, unit, { wanted: 5, room: 0.2 })) {
+      context.textAlign = at < 1 ? "center" : "right";
+      write(text, x + wide * at, middle + 9 * ratio);
+    }
     context.textAlign = "left";
     context.font = `${13 * ratio}px ${style.fontFamily}`;
     x += wide + 24 * ratio;

@@ -58,12 +58,9 @@ function renderLegend(legend) {
       context.fillStyle = color;
       context.fillRect(column, 0, 1, 1);
     });
-    const { size } = axisUnit(legend.scale, unit);
-    const marks = roundValues(0, legend.scale / size, 5).filter((value) => value * size < 0.85 * legend.scale)
-      .map((value) => [value * size, significant(value, 3)]);
-    const ticks = element("div", {}, ...[...marks, [legend.scale, `≥ ${length(legend.scale, unit)}`]].map(([value, text]) => {
+    const ticks = element("div", {}, ...rampMarks(legend, unit, { wanted: 5, room: 0.15 }).map(([at, text]) => {
       const tick = element("span", { textContent: text });
-      tick.style.left = `${(100 * value) / legend.scale}%`;
+      tick.style.left = `${100 * at}%`;
       return tick;
     }));
     parts.push(element("div", { className: "ramp" }, canvas, ticks));

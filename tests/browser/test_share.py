@@ -8,6 +8,7 @@ import pytest
 from playwright.sync_api import Browser, expect
 
 from app.report import write_report
+from app.settings import Picked
 from tests.app.serving import LONG_S
 from tests.browser.driving import Viewer
 
@@ -71,10 +72,10 @@ def test_the_picture_has_the_size_of_the_scene_and_a_legend(viewer: Viewer) -> N
 
 
 def test_a_report_opens_from_a_file_without_network(viewer: Viewer, browser: Browser, tmp_path: Path) -> None:
-    viewer.served.session.change({"line_count": 40})
+    viewer.served.session.change({"line_count": 40, "picked": Picked("source", 100), "coloring": "distance"})
+    state = viewer.settle()
     path = tmp_path / "report.html"
     write_report(viewer.served.session, path)
-    state = viewer.settle()
     context = browser.new_context(offline=True)
     page = context.new_page()
     complaints, asked = [], []
@@ -83,7 +84,10 @@ def test_a_report_opens_from_a_file_without_network(viewer: Viewer, browser: Bro
     page.on("request", lambda request: asked.append(request.url))
     page.goto(path.as_uri())
     expect(page.locator("#precision")).to_have_text(f"{100 * state['numbers']['precision']:.1f} %")
+    expect(page.locator("#legend .ramp span")).to_have_text([tick["label"] for tick in state["legend"]["ticks"]])
+    page.get_by_role("radio", name="Error").check()
     expect(page.locator("#legend .swatches li").first).to_have_text("no true partner")
+    expect(page.locator("#legend .ramp span").last).to_have_text("≥ 25 cm")
     painted = """() => {
       const shown = document.getElementById("scene");
       const copy = new OffscreenCanvas(shown.width, shown.height);
