@@ -208,7 +208,7 @@ def test_the_document_has_all_rows_and_sections() -> None:
     for section in ("All sets", "Objects", "Surest matches", "Robustness", "Cross-validation", "Time"):
         assert f"### {section}\n" in text
     assert "| mean over 2 scenes | 50.0 |" in text
-    assert "| two (1 pairs, cross-b) | 0.0 |" in text
+    assert "| two (1 pair, cross-b) | 0.0 |" in text
     # Every line of a table has as many cells as its head.
     for table in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
         assert len({line.count("|") for line in table.splitlines()}) == 1
@@ -263,9 +263,14 @@ def test_rows_are_measured_only_where_they_were_not_trained() -> None:
 def test_weights_in_a_folder_are_rows_of_both_models(tmp_path: Path) -> None:
     for model in ("object", "indoor"):
         network = read_network(shipped_weights(f"cgf-{model}"))
-        card = replace(network.card, training={"label": "With frame"})
+        card = replace(network.card, training={"label": "With frame", "place": 2})
         write_network(tmp_path / f"frame-{model}.safetensors", replace(network, card=card))
-    rows = [row for row in find_rows(tmp_path) if row.name == "frame"]
+    write_network(
+        tmp_path / "first-object.safetensors", replace(network, card=replace(card, model="object", training={}))
+    )
+    found = find_rows(tmp_path)
+    assert [row.name for row in found if row.weights and row.weights.parent == tmp_path] == ["first", "frame", "frame"]
+    rows = [row for row in found if row.name == "frame"]
     assert {row.model for row in rows} == {"object", "indoor"}
     assert {row.title for row in rows} == {"With frame"}
     assert rows[0].dims == (8, 16, 32)
@@ -287,7 +292,7 @@ def test_missing_data_and_weights_are_named(tmp_path: Path) -> None:
 def test_a_stopped_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     groups, told = [itself(name="lomatch")], []
     first = run_suite(groups, [PCA], tmp_path, told=told.append)
-    assert re.fullmatch(r"lomatch, demo, 1 pairs: pca-32: recall at 5 % 100.0 %, recall at 20 % 100.0 %", told[0])
+    assert re.fullmatch(r"lomatch, demo, 1 pair: pca-32: recall at 5 % 100.0 %, recall at 20 % 100.0 %", told[0])
 
     def fail(*_: object) -> None:
         raise AssertionError("scored again")

@@ -44,6 +44,8 @@ class Row:
     """As the card says it."""
     title: str = ""
     """What tables call it, without the dimension."""
+    place: int = 0
+    """In the order of the tables."""
 
     @property
     def key(self) -> str:
@@ -57,9 +59,10 @@ class Row:
 
 
 def find_rows(folder: Path | None = None) -> list[Row]:
-    """All rows, those of the package first, then by the names of the files in `folder`.
+    """All rows, those of the package first, then those of the files in `folder` by their place and name.
 
-    The row of `NAME-object.safetensors` and `NAME-indoor.safetensors` is called NAME.
+    The row of `NAME-object.safetensors` and `NAME-indoor.safetensors` is called NAME. What its card holds under
+    `training` as `label` is its title, and as `place` its number in the order of the tables.
 
     Raises:
         InputError: The folder is missing, or a file in it is no weights.
@@ -70,7 +73,9 @@ def find_rows(folder: Path | None = None) -> list[Row]:
     if folder is not None:
         if not folder.is_dir():
             raise InputError(f"--weights-folder must be a folder of weights, got {folder}; check the path")
-        rows += [_learned(None, path) for path in sorted(folder.glob("*.safetensors"))]
+        rows += sorted(
+            (_learned(None, path) for path in folder.glob("*.safetensors")), key=lambda row: (row.place, row.name)
+        )
     return rows
 
 
@@ -135,6 +140,7 @@ def _learned(name: str | None, path: Path) -> Row:
             weights=path,
             trained_on=card.data,
             title=str(card.training.get("label", "")),
+            place=int(card.training.get("place", 0)),
         )
     settings = PairSettings(model=card.model, dim=card.dims[-1])
     return Row(name, card.model, settings, card.dims, weights=path, trained_on=card.data, title="CGF")

@@ -119,4 +119,6 @@ def _line(result: GroupScores) -> str:
             for at in (0.05, 0.2)
         ]
     name = f"{result['labels'][dim]} {result['variant']}".strip()
-    return f"{result['set']}, {result['group']}, {len(scores)} pairs: {name}: {', '.join(parts)}"
+    return (
+        f"{result['set']}, {result['group']}, {len(scores)} pair{'s' * (len(scores) > 1)}: {name}: {', '.join(parts)}"
+    )

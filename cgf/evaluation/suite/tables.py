@@ -194,7 +194,7 @@ def cross_validation(summaries: Sequence[Summary]) -> list[str]:
             values += [of.parts[scene][measure] if of else None for measure in measures]
         pairs = next(summary.parts[scene]["pairs"] for summary in chosen if scene in summary.parts)
         trained = next(base_name(summary) for summary in chosen if scene in summary.parts)
-        lines.append((f"{scene} ({pairs} pairs, {trained})", values))
+        lines.append((f"{scene} ({pairs} pair{'s' * (pairs > 1)}, {trained})", values))
     if lines:
         columns = zip(*(values for _, values in lines), strict=True)
         lines.append((f"mean over {len(scenes)} scenes", [_mean(column) for column in columns]))
