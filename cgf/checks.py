@@ -12,7 +12,16 @@ else:
     # The union in numpy refuses tuples where annotations are checked while running; our own checks say more anyway.
     ArrayLike = Any
 
-__all__ = ["ArrayLike", "InputError", "check_finite_rows", "check_points", "check_positive", "check_transform"]
+__all__ = [
+    "ArrayLike",
+    "InputError",
+    "check_count",
+    "check_finite_rows",
+    "check_fraction",
+    "check_points",
+    "check_positive",
+    "check_transform",
+]
 
 _LARGEST_COORDINATE = 1e100  # squares of anything larger overflow further down
 _FLAT_RATIO = 1e-6
@@ -97,6 +106,19 @@ def check_positive(value: SupportsFloat, name: str) -> float:
     if not np.isfinite(number) or number <= 0:
         raise ValueError(f"{name} must be positive, got {number:g}")
     return number
+
+
+def check_count(value: int, name: str, *, minimum: int) -> None:
+    """Raise a ValueError if `value` is below `minimum`."""
+    if value < minimum:
+        raise ValueError(f"{name} must be {minimum} or more, got {value}")
+
+
+def check_fraction(value: SupportsFloat, name: str) -> None:
+    """Raise a ValueError unless `value` lies between 0 and 1 and is neither."""
+    number = float(value)
+    if not 0 < number < 1:
+        raise ValueError(f"{name} must be between 0 and 1, got {number:g}")
 
 
 def _as_float(values: ArrayLike, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:

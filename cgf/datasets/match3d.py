@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cgf.checks import check_count
 from cgf.io import PairFiles, index_in_name, logged_pairs, read_pairs
 from cgf.types import Pair
 
@@ -24,8 +25,8 @@ def find_scene(
         InputError: The log or a fragment is missing, or the log is damaged.
         ValueError: `limit` is below 1.
     """
-    if limit is not None and limit < 1:
-        raise ValueError(f"limit must be 1 or more, got {limit}")
+    if limit is not None:
+        check_count(limit, "limit", minimum=1)
     pairs = [pair for pair in logged_pairs(Path(root), log=log) if consecutive or not _follow(pair)]
     if limit is None or limit >= len(pairs):
         return pairs

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from cgf.checks import check_count
+
 ModelName = Literal["object", "indoor"]
 FrameKind = Literal["normal", "paper"]
 
@@ -40,8 +42,7 @@ class DescriptorSettings:
             raise ValueError(
                 f"min_radius must be below support_radius ({self.support_radius:g}), got {self.min_radius:g}"
             )
-        if self.dim < 1:
-            raise ValueError(f"dim must be at least 1, got {self.dim}")
+        check_count(self.dim, "dim", minimum=1)
 
 
 @dataclass(frozen=True)

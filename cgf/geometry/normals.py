@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from cgf.checks import check_positive
+from cgf.checks import check_count, check_positive
 from cgf.geometry.neighbors import build_tree
 from cgf.types import PointCloud
 
@@ -39,8 +39,8 @@ def estimate_normals(
         ValueError: `radius` is not positive, or `max_neighbors` or the cloud is below 3.
     """
     check_positive(radius, "radius")
-    if max_neighbors is not None and max_neighbors < _FEWEST_NEIGHBORS:
-        raise ValueError(f"max_neighbors must be {_FEWEST_NEIGHBORS} or more, got {max_neighbors}")
+    if max_neighbors is not None:
+        check_count(max_neighbors, "max_neighbors", minimum=_FEWEST_NEIGHBORS)
     if len(cloud) < _FEWEST_NEIGHBORS:
         raise ValueError(f"cloud must have {_FEWEST_NEIGHBORS} points or more, got {len(cloud)}")
     # Products of coordinates lose digits far from the origin, hence the centring.

@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
+from cgf.checks import check_count
 from cgf.descriptors.network import NetworkCard, load_network
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, RADIAL_BINS
 from cgf.geometry import transforms
@@ -97,8 +98,7 @@ def inspect_point(
     other, other_features = getattr(result, other_side), getattr(result, f"{other_side}_features")
     if not 0 <= row < len(cloud):
         raise ValueError(f"row must be from 0 to {len(cloud) - 1} for the {side}, got {row}")
-    if count < 1:
-        raise ValueError(f"count must be 1 or more, got {count}")
+    check_count(count, "count", minimum=1)
     vector = features.vectors[features.indices == row]
     distances = _feature_distances(vector, other_features, len(other))
     order = _order(distances, other_features)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from cgf.checks import check_positive
+from cgf.checks import check_count, check_fraction, check_positive
 from cgf.geometry import transforms
 from cgf.registration.agreement import nothing_found, surface_agreement
 from cgf.registration.alignment import fit_rigid
@@ -46,16 +46,11 @@ class FgrConfig:
 
     def __post_init__(self) -> None:
         check_positive(self.inlier_distance, "inlier_distance")
-        if self.iterations < 1:
-            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
-        if self.tuples < 0:
-            raise ValueError(f"tuples must be 0 or more, got {self.tuples}")
-        if not 0 < self.edge_ratio < 1:
-            raise ValueError(f"edge_ratio must be between 0 and 1, got {self.edge_ratio:g}")
-        if self.min_inliers < SAMPLE:
-            raise ValueError(f"min_inliers must be at least {SAMPLE}, got {self.min_inliers}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be 0 or more, got {self.seed}")
+        check_count(self.iterations, "iterations", minimum=1)
+        check_count(self.tuples, "tuples", minimum=0)
+        check_fraction(self.edge_ratio, "edge_ratio")
+        check_count(self.min_inliers, "min_inliers", minimum=SAMPLE)
+        check_count(self.seed, "seed", minimum=0)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float64
 
-from cgf.checks import check_positive, check_transform
+from cgf.checks import check_count, check_positive, check_transform
 from cgf.geometry import transforms
 from cgf.geometry.neighbors import build_tree
 from cgf.registration.agreement import nothing_found, surface_agreement
@@ -40,8 +40,7 @@ class IcpConfig:
 
     def __post_init__(self) -> None:
         check_positive(self.max_distance, "max_distance")
-        if self.iterations < 1:
-            raise ValueError(f"iterations must be at least 1, got {self.iterations}")
+        check_count(self.iterations, "iterations", minimum=1)
 
 
 @dataclass(frozen=True, eq=False)

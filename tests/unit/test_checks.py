@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from cgf.checks import InputError, check_finite_rows, check_points, check_positive, check_transform
+from cgf.checks import (
+    InputError,
+    check_count,
+    check_finite_rows,
+    check_fraction,
+    check_points,
+    check_positive,
+    check_transform,
+)
 from cgf.geometry.transforms import random_rigid
 
 
@@ -127,6 +135,19 @@ def test_positive_numbers_pass():
 def test_numbers_that_are_not_positive_are_refused(value, shown):
     with pytest.raises(ValueError, match=rf"^radius must be positive, got {shown}$"):
         check_positive(value, "radius")
+
+
+def test_counts_below_their_minimum_are_refused():
+    check_count(3, "seed", minimum=3)
+    with pytest.raises(ValueError, match=r"^seed must be 3 or more, got 2$"):
+        check_count(2, "seed", minimum=3)
+
+
+@pytest.mark.parametrize(("value", "shown"), [(0, "0"), (1, "1"), (-0.5, "-0.5"), (np.nan, "nan")])
+def test_fractions_are_above_0_and_below_1(value, shown):
+    check_fraction(0.5, "confidence")
+    with pytest.raises(ValueError, match=rf"^confidence must be between 0 and 1, got {shown}$"):
+        check_fraction(value, "confidence")
 
 
 def test_input_errors_are_value_errors():

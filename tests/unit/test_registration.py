@@ -124,10 +124,10 @@ def test_ransac_finds_nothing_in_one_repeated_correspondence() -> None:
     ("values", "sentence"),
     [
         ({"inlier_distance": 0.0}, "inlier_distance must be positive, got 0"),
-        ({"inlier_distance": 1.0, "iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"inlier_distance": 1.0, "iterations": 0}, "iterations must be 1 or more, got 0"),
         ({"inlier_distance": 1.0, "confidence": 1.0}, "confidence must be between 0 and 1, got 1"),
         ({"inlier_distance": 1.0, "edge_ratio": 0.0}, "edge_ratio must be between 0 and 1, got 0"),
-        ({"inlier_distance": 1.0, "min_inliers": 2}, "min_inliers must be at least 3, got 2"),
+        ({"inlier_distance": 1.0, "min_inliers": 2}, "min_inliers must be 3 or more, got 2"),
         ({"inlier_distance": 1.0, "seed": -1}, "seed must be 0 or more, got -1"),
     ],
 )
@@ -193,10 +193,10 @@ def test_fgr_finds_nothing_without_enough_correspondences_or_agreement() -> None
     ("values", "sentence"),
     [
         ({"inlier_distance": 0.0}, "inlier_distance must be positive, got 0"),
-        ({"inlier_distance": 1.0, "iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"inlier_distance": 1.0, "iterations": 0}, "iterations must be 1 or more, got 0"),
         ({"inlier_distance": 1.0, "tuples": -1}, "tuples must be 0 or more, got -1"),
         ({"inlier_distance": 1.0, "edge_ratio": 1.0}, "edge_ratio must be between 0 and 1, got 1"),
-        ({"inlier_distance": 1.0, "min_inliers": 2}, "min_inliers must be at least 3, got 2"),
+        ({"inlier_distance": 1.0, "min_inliers": 2}, "min_inliers must be 3 or more, got 2"),
         ({"inlier_distance": 1.0, "seed": -1}, "seed must be 0 or more, got -1"),
     ],
 )
@@ -287,7 +287,7 @@ def test_icp_refuses_a_start_that_is_not_rigid() -> None:
     ("values", "sentence"),
     [
         ({"max_distance": -1.0}, "max_distance must be positive, got -1"),
-        ({"max_distance": 1.0, "iterations": 0}, "iterations must be at least 1, got 0"),
+        ({"max_distance": 1.0, "iterations": 0}, "iterations must be 1 or more, got 0"),
     ],
 )
 def test_icp_refuses_settings_that_make_no_sense(values: dict[str, float], sentence: str) -> None:
