@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from app.coloring import point_colors
 from app.colors import NO_MATCH, Colors
 from app.compare import ComparedColumn
 from app.explorer import NO_FINDINGS
-from app.picture import EXTENT, GAP, CloudPicture, ColumnPicture, Picture, Placed, point_colors, rightward, view_of
+from app.picture import CloudPicture, ColumnPicture, Picture
+from app.placing import EXTENT, GAP, Placed, rightward, view_of
 from app.settings import ViewSettings
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from app.analysis import Analysis, Analyst, kept_rows
 from app.colors import NO_MATCH, SOURCE_TINT, TARGET_TINT, Colors
 from app.jobs import Job
+from app.legend import hexed
 from app.picture import CloudPicture, Picture
 from app.settings import ViewSettings
-from app.snapshot import DiagnosisInfo, Legend, Swatch, hexed
+from app.snapshot import DiagnosisInfo, Legend, Swatch
 from app.workbench import Host, Workbench
 from cgf.checks import InputError
 from cgf.diagnosis import Case, Diagnosis, Place, diagnose, diagnose_loaded

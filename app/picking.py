@@ -1,12 +1,14 @@
 """Which point of a picture is under the pointer, or inside a box on the screen."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from app.overlays import SIDES
 from app.picture import CloudPicture, Picture
+from app.settings import MAX_SELECTED, Picked, Selected
 from cgf.pipeline import Side
 
 PIXELS = 4.0
@@ -111,6 +113,27 @@ def points_in_box(
     prepared = getattr(picture, side).prepared_rows[rows[np.argsort(distances, kind="stable")]]
     _, first = np.unique(prepared, return_index=True)
     return side, prepared[np.sort(first)]
+
+
+def changes_at(picture: Picture | None, origin: Floats, direction: Floats, *, pixel: float) -> dict[str, Any]:
+    """Settings that pick the point under the pointer, arguments as of `point_at_ray`; beside all points, none."""
+    if picture is None or picture.columns:
+        return {}
+    found = point_at_ray(picture, origin, direction, pixel=pixel)
+    return {"picked": None if found is None else Picked(*found), "selected": None}
+
+
+def changes_in(
+    picture: Picture | None, camera: Camera, low: tuple[float, float], high: tuple[float, float]
+) -> dict[str, Any]:
+    """Settings that pick the point in the middle of a box, arguments as of `points_in_box`, and select those in it."""
+    found = None if picture is None or picture.columns else points_in_box(picture, camera, low, high)
+    if found is None:
+        return {"picked": None, "selected": None}
+    side, rows = found
+    # Evenly thinned from the middle outwards.
+    some = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MAX_SELECTED)).astype(np.int64))]
+    return {"picked": Picked(side, int(rows[0])), "selected": Selected(side, tuple(some.tolist()))}
 
 
 def _axes(direction: Floats) -> Floats:

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from app.analysis import Analysis, Analyst, Scores, kept_rows
+from app.coloring import error_scale
 from app.colors import error_colors
 from app.jobs import Job
-from app.picture import error_scale
 from app.settings import ViewSettings
 from cgf import descriptors, pipeline
 from cgf.descriptors.settings import MODEL_DEFAULTS

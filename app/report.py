@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from app.legend import legend_of
 from app.picture import CloudPicture, Picture
 from app.session import Session
 from app.settings import Coloring
-from app.snapshot import Snapshot, legend_of
+from app.snapshot import Snapshot
 from app.state_text import write_state
 from app.static_files import static_folder
 from cgf.checks import InputError

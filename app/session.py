@@ -1,41 +1,32 @@
 """The state behind the page: what was asked for, what is known, and who wants to hear of changes."""
 
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from app import snapshot as snapshots
-from app.analysis import Analysis, Analyst, Scores, kept_rows, score
-from app.columns import draw_columns
+from app.analysis import Analysis, Analyst, Scores
 from app.diagnosing import Diagnosing
-from app.explorer import NO_FINDINGS, Explorer, Findings, check_rows, stepped
-from app.funnel import funnel_of, picked_of
+from app.explorer import Findings, check_rows, stepped
+from app.figures import STARTING, first_snapshot, snapshot_of
 from app.jobs import Job, Worker
-from app.pair_source import PairSource, match_command, open_command
-from app.picking import Camera, Floats, point_at_ray, points_in_box
-from app.picture import Picture, Placed, draw, place
+from app.listeners import Listener, Listeners
+from app.painter import Painter
+from app.pair_source import PairSource
+from app.picking import Camera, Floats, changes_at, changes_in
+from app.picture import Picture
 from app.plots import right_within
 from app.point import PointDetails, point_details
-from app.settings import MAX_SELECTED, Picked, Selected, ViewSettings
+from app.settings import ViewSettings
 from app.shown import MAX_SHOWN
-from app.snapshot import CloudInfo, Message, Snapshot, Status
-from app.state_text import write_state
+from app.snapshot import Snapshot, Status
 from app.wording import in_words_of_the_page, text_of
 from app.workbench import Workbench
 from cgf import pipeline
 from cgf.checks import InputError
-from cgf.evaluation.matches import export_matches
 from cgf.types import Transform
-
-Listener = Callable[[], None]
-
 
 PROGRESS_INTERVAL_S = 0.25
 """Between two notices of one stage's progress: each has the browser paint the page, scene included, which without a
@@ -71,25 +62,23 @@ class Session:
             lambda index: self._pairs[index].load(), given_estimate=given_estimate, disk=disk, max_shown=max_shown
         )
         self._lock = threading.RLock()
-        self._listeners: list[Listener] = []
+        self._listeners = Listeners()
         self._settings = settings
         self._progress_told = 0.0
         self._revision = 0
-        self._status = Status("working", "Starting", 0.0)
+        self._status = STARTING
         self._error: str | None = None
         self._analysis: Analysis | None = None
         self._preview: Analysis | None = None
         self._work_done: tuple[object, ...] | None = None
-        self._placed: tuple[Analysis, Placed] | None = None
-        self._score = lru_cache(maxsize=2)(score)
-        self._explorer = Explorer()
         self._picture: Picture | None = None
         self._snapshot: Snapshot | None = None
         # Estimating a pose holds up nothing: the next change is computed meanwhile.
-        self._worker = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
-        self._estimator = Worker(on_progress=self._on_progress, on_idle=self._notify, on_error=self._on_error)
+        self._worker = Worker(on_progress=self._on_progress, on_idle=self._listeners.notify, on_error=self._on_error)
+        self._estimator = Worker(on_progress=self._on_progress, on_idle=self._listeners.notify, on_error=self._on_error)
         self.workbench = Workbench(self, self._analyst)
         self.diagnosing = Diagnosing(self, self._analyst, self.workbench)
+        self._painter = Painter(self.workbench, self.diagnosing)
 
     def start(self) -> None:
         """Begin with the first pair."""
@@ -103,15 +92,7 @@ class Session:
 
     def listen(self, listener: Listener) -> Callable[[], None]:
         """Call `listener` after every change, until the function returned is called."""
-        with self._lock:
-            self._listeners.append(listener)
-
-        def forget() -> None:
-            with self._lock:
-                if listener in self._listeners:
-                    self._listeners.remove(listener)
-
-        return forget
+        return self._listeners.add(listener)
 
     def wait_until_idle(self, timeout_s: float | None = None) -> bool:
         """Wait until nothing is left to do; tells whether that came true."""
@@ -171,12 +152,12 @@ class Session:
             if not new_matches:
                 self._redraw()
             if needs_work:
-                self._status = Status("working", "Starting", 0.0)
+                self._status = STARTING
                 self._submit()
             self._touch()
         if "columns" in changes or needs_work:
             self.workbench.compare()
-        self._notify()
+        self._listeners.notify()
         return self.snapshot()
 
     def point(self) -> PointDetails:
@@ -202,10 +183,9 @@ class Session:
             direction: Of the ray.
             pixel: Size of a pixel at distance 1.
         """
-        picture = self.picture()
-        if picture is not None and not picture.columns:
-            found = point_at_ray(picture, origin, direction, pixel=pixel)
-            self.change({"picked": None if found is None else Picked(*found), "selected": None})
+        changes = changes_at(self.picture(), origin, direction, pixel=pixel)
+        if changes:
+            self.change(changes)
 
     def select_in(self, camera: Camera, low: tuple[float, float], high: tuple[float, float]) -> None:
         """Pick the point in the middle of a box on the screen, and draw lines from the points in the box only.
@@ -215,15 +195,7 @@ class Session:
             low: Its left upper corner, as shares of the window.
             high: Its right lower corner.
         """
-        picture = self.picture()
-        found = None if picture is None or picture.columns else points_in_box(picture, camera, low, high)
-        if found is None:
-            self.change({"picked": None, "selected": None})
-            return
-        side, rows = found
-        # Evenly thinned from the middle outwards.
-        some = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MAX_SELECTED)).astype(np.int64))]
-        self.change({"picked": Picked(side, int(rows[0])), "selected": Selected(side, tuple(some.tolist()))})
+        self.change(changes_in(self.picture(), camera, low, high))
 
     def step(self, by: int) -> Snapshot:
         """Pick and isolate the match `by` places from the picked one, in the order chosen.
@@ -271,7 +243,7 @@ class Session:
                 self._status = Status("failed", "Stopped", 0.0)
                 self._error = "Stopped before the end; what is shown may belong to other settings."
                 self._drop_preview()
-        self._notify()
+        self._listeners.notify()
 
     def snapshot(self) -> Snapshot:
         """The state of the page now."""
@@ -292,18 +264,18 @@ class Session:
         with self._lock:
             self._redraw()
             self._diagnose()
-        self._notify()
+        self._listeners.notify()
 
     def told(self) -> None:
         """Tell of a task's progress."""
-        self._notify()
+        self._listeners.notify()
 
     def failed(self, error: Exception) -> None:
         """Tell why a task has failed; what is shown stays right."""
         with self._lock:
             self._error = text_of(error)
             self._touch()
-        self._notify()
+        self._listeners.notify()
 
     def picture_with(self, **changes: Any) -> Picture:
         """What would be drawn with other view settings; nothing changes.
@@ -312,38 +284,10 @@ class Session:
             InputError: There are no clouds yet.
         """
         with self._lock:
-            analysis, placed = self._analysis, self._placed
+            analysis, settings = self._analysis, self._settings
             if analysis is None:
                 raise InputError("There are no clouds yet; wait until they are loaded.")
-            # A preview may be drawn at the moment, whose points are others.
-            fits = placed is not None and placed[0].source is analysis.source and placed[0].target is analysis.target
-            return draw(
-                analysis,
-                self._scores(),
-                replace(self._settings, **changes),
-                placed[1] if placed is not None and fits else place(analysis),
-                self.findings(),
-            )
-
-    def export(self, suffix: str) -> bytes:
-        """The matches that pass the filters, as `cgf match` writes them.
-
-        Args:
-            suffix: `.csv` or `.npz`.
-
-        Raises:
-            InputError: There are no matches yet.
-        """
-        with self._lock:
-            analysis, settings = self._analysis, self._settings
-            scores = self._scores()
-        if analysis is None or analysis.matches is None or scores is None:
-            raise InputError("There are no matches yet; wait until they are computed.")
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"matches{suffix}"
-            rows = kept_rows(analysis.matches, settings)
-            export_matches(path, analysis.source, analysis.target, analysis.matches, rows, scores.forward)
-            return path.read_bytes()
+            return self._painter.paint_otherwise(analysis, settings, replace(settings, **changes))
 
     def _submit(self) -> None:
         settings, started = self._settings, time.perf_counter()
@@ -367,7 +311,7 @@ class Session:
             self._analyst.load_kernels(analysis)
 
         def estimate(job: Job, analysis: Analysis, elapsed_s: float) -> None:
-            if self._is_watched():
+            if len(self._listeners):
                 job.pause(PAINT_S)
             registration = self._analyst.register(analysis, job)
             with self._lock:
@@ -408,7 +352,7 @@ class Session:
                     return
             self._analysis, self._preview = analysis, None
             self._redraw()
-        self._notify()
+        self._listeners.notify()
 
     def _show_preview(self, preview: Analysis, job: Job) -> None:
         """Draw a preview; the numbers stay those of the last good result."""
@@ -416,7 +360,7 @@ class Session:
             job.check()
             self._preview = preview
             self._redraw()
-        self._notify()
+        self._listeners.notify()
 
     def _drop_preview(self) -> None:
         """Draw the last good result again; called with the lock held."""
@@ -427,47 +371,24 @@ class Session:
         """Draw what is known under the current settings; called with the lock held."""
         if self._analysis is not None:
             self._analysis = self.workbench.attach(self._analysis)
-        analysis = self._analysis if self._preview is None else self.workbench.attach(self._preview)
-        if analysis is not None:
-            placed = self._placed
-            if placed is None or placed[0].source is not analysis.source or placed[0].target is not analysis.target:
-                self._placed = placed = (analysis, place(analysis, None if placed is None else placed[1]))
-            scores, findings = self._score(analysis, self._settings.reference), self.findings()
-            if self._preview is not None:
-                # What is known of points belongs to the last good result, and most have no stage yet.
-                same = self._analysis is not None and self._analysis.source is analysis.source
-                findings = Findings(picked=findings.picked if same else None)
-            self._picture = draw(analysis, scores, self._settings, placed[1], findings)
-            if self._settings.highlight and self._preview is None:
-                self._picture = self.diagnosing.highlight(self._picture, analysis, self._settings)
-            if self._settings.columns:
-                columns = self.workbench.columns(analysis, self._settings)
-                self._picture = draw_columns(self._picture, columns, self._settings, placed[1])
+        if self._preview is not None:
+            preview = self.workbench.attach(self._preview)
+            self._picture = self._painter.paint_preview(preview, self._analysis, self._settings)
+        elif self._analysis is not None:
+            self._picture = self._painter.paint(self._analysis, self._settings)
         self._touch()
 
     def _scores(self) -> Scores | None:
         """Scores of the last good result; called with the lock held."""
-        return None if self._analysis is None else self._score(self._analysis, self._settings.reference)
+        return self._painter.scores(self._analysis, self._settings)
 
     def findings(self) -> Findings:
         """What is known of stages and of the picked point."""
         with self._lock:
-            if self._analysis is None:
-                return NO_FINDINGS
-            return self._explorer.look(self._analysis, self._scores(), self._settings)
+            return self._painter.findings(self._analysis, self._settings)
 
     def _touch(self) -> None:
         self._revision += 1
-
-    def _is_watched(self) -> bool:
-        with self._lock:
-            return bool(self._listeners)
-
-    def _notify(self) -> None:
-        with self._lock:
-            listeners = tuple(self._listeners)
-        for listener in listeners:
-            listener()
 
     def _on_progress(self, share: float, text: str) -> None:
         now = time.monotonic()
@@ -477,7 +398,7 @@ class Session:
             if news:
                 self._progress_told = now
         if news:
-            self._notify()
+            self._listeners.notify()
 
     def _on_error(self, error: Exception) -> None:
         with self._lock:
@@ -486,61 +407,19 @@ class Session:
             self._drop_preview()
             if isinstance(error, ValueError):
                 self.diagnosing.explain(self._settings, error)
-        self._notify()
+        self._listeners.notify()
 
     def _build_snapshot(self) -> Snapshot:
         analysis, settings = self._analysis, self._settings
-        names = tuple(pair.name for pair in self._pairs)
-        messages = [] if self._error is None else [Message("error", self._error)]
         if analysis is None:
-            return Snapshot(
-                revision=self._revision, status=self._status, settled=False, previewed=None, pairs=names,
-                settings=settings, source=None, target=None, unit=None, model=None, controls=None, pose=None,
-                reference=None, numbers=None, estimate=None, curve=None, funnel=(), picked=None, legend=None,
-                messages=tuple(messages), diagnosis=self.diagnosing.info(), columns=(), command="",
-                shared=write_state(settings), open_command="",
-            )  # fmt: skip
-        scores, findings = self._scores(), self.findings()
-        numbers, curve = (None, None) if scores is None else snapshots.numbers_of(analysis, scores, settings)
-        messages += [
-            replace(message, text=in_words_of_the_page(message.text))
-            for message in snapshots.messages_of(analysis, scores, numbers, settings)
-        ]
-        sides = (
-            (analysis.pair.source, analysis.source_shown, analysis.source, analysis.source_features),
-            (analysis.pair.target, analysis.target_shown, analysis.target, analysis.target_features),
-        )
-        source, target = (
-            CloudInfo(
-                loaded.name, len(loaded), len(shown.cloud), len(prepared), None if features is None else len(features)
+            told = first_snapshot(self._pairs, settings, error=self._error)
+        else:
+            told = snapshot_of(analysis, self._scores(), self.findings(), settings, self._pairs, error=self._error)
+            columns = self.workbench.columns(analysis, settings)
+            told = replace(
+                told,
+                previewed=None if self._preview is None else self._preview.described_points,
+                legend=None if told.legend is None else self.diagnosing.legend(told.legend, settings),
+                columns=tuple(column.info for column in columns),
             )
-            for loaded, shown, prepared, features in sides
-        )
-        choice = analysis.resolved.choice
-        return Snapshot(
-            revision=self._revision,
-            status=self._status,
-            settled=False,
-            previewed=None if self._preview is None else self._preview.described_points,
-            pairs=names,
-            settings=settings,
-            source=source,
-            target=target,
-            unit=snapshots.unit_of(analysis),
-            model=snapshots.Model(choice.name, choice.reason),
-            controls=snapshots.controls_of(analysis),
-            pose=snapshots.pose_of(analysis, settings),
-            reference=None if scores is None else scores.reference,
-            numbers=numbers,
-            estimate=snapshots.estimate_of(analysis),
-            curve=curve,
-            funnel=funnel_of(analysis, scores, settings, findings),
-            picked=picked_of(analysis, scores, settings, findings),
-            legend=self.diagnosing.legend(snapshots.legend_of(analysis, scores, settings, findings), settings),
-            messages=tuple(messages),
-            diagnosis=self.diagnosing.info(),
-            columns=tuple(column.info for column in self.workbench.columns(analysis, settings)),
-            command=match_command(self._pairs[analysis.index], settings),
-            shared=write_state(settings),
-            open_command=open_command(self._pairs[analysis.index], settings),
-        )
+        return replace(told, revision=self._revision, status=self._status, diagnosis=self.diagnosing.info())

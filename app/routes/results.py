@@ -5,6 +5,7 @@ from typing import Literal
 
 from fastapi import APIRouter, Response
 
+from app.match_file import matches_file
 from app.pose_file import place_beside, pose_text, save_beside
 from app.report import report_page, results_of
 from app.routes.problems import NO_STORE, PROBLEM
@@ -19,7 +20,7 @@ def router(session: Session) -> APIRouter:
     @router.get("/api/matches.{suffix}", response_class=Response)
     def matches(suffix: Literal["csv", "npz"]) -> Response:
         """The matches that pass the filters, the same to the last digit as `cgf match` writes them."""
-        return _file(session.export(f".{suffix}"), f"matches.{suffix}")
+        return _file(matches_file(session, f".{suffix}"), f"matches.{suffix}")
 
     @router.get("/api/results.json", response_class=Response)
     def results() -> Response:

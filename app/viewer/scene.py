@@ -10,7 +10,8 @@ import viser.transforms
 
 from app.colors import line_colors
 from app.overlays import NOTHING, Overlays
-from app.picture import FIELD_OF_VIEW, CloudPicture, Floats, Picture, View
+from app.picture import CloudPicture, Picture
+from app.placing import FIELD_OF_VIEW, Floats, View
 
 OVERLAY_PIXELS = 2.6
 FLIGHT_STEPS = 8

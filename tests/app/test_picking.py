@@ -5,7 +5,8 @@ import pytest
 
 from app.overlays import NOTHING
 from app.picking import Camera, point_at_ray, points_in_box
-from app.picture import CloudPicture, Picture, View
+from app.picture import CloudPicture, Picture
+from app.placing import View
 
 EYE = np.array([0.0, 0.0, 5.0])
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

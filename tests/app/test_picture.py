@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from app.analysis import Analysis
-from app.picture import EXTENT, FIELD_OF_VIEW, View, choose_lines, draw, place, rightward, up_direction
+from app.lines import choose_lines
+from app.picture import draw
+from app.placing import EXTENT, FIELD_OF_VIEW, View, place, rightward, up_direction
 from app.settings import LineChoice, ViewSettings
 from app.shown import choose_shown
 from cgf.geometry.transforms import apply, move, rigid, rotation_about

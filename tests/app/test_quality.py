@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from app.colors import DISTANCE_TABLE, NO_MATCH, quality_colors
+from app.match_file import matches_file
 from app.picture import CloudPicture
 from app.routes.state import _event
 from app.session import Session
@@ -103,7 +104,7 @@ def test_the_surest_matches_are_a_stage_of_their_own(session: Session) -> None:
     assert "--surest 0.25" in snapshot.command
     assert "surest=0.25" in snapshot.shared
     lowest = np.sort(analysis.matches.trust)[-snapshot.numbers.matches]
-    exported = np.load(io.BytesIO(session.export(".npz")))
+    exported = np.load(io.BytesIO(matches_file(session, ".npz")))
     assert len(exported["source_quality"]) == len(exported["target_quality"]) == snapshot.numbers.matches
     assert np.count_nonzero(analysis.matches.trust >= lowest) == snapshot.numbers.matches
 

@@ -9,6 +9,7 @@ import pytest
 from fastapi import FastAPI, WebSocket
 
 from app.loading import Loader, Recent
+from app.match_file import matches_file
 from app.routes import create_app
 from app.session import Session
 from app.settings import ViewSettings
@@ -104,7 +105,7 @@ def test_what_cannot_be_set_is_refused_in_one_line(app: FastAPI, body: str, mess
 
 def test_matches_are_downloaded_as_a_file(app: FastAPI, session: Session) -> None:
     answer = request(app, "GET", "/api/matches.csv")
-    assert answer.body == session.export(".csv")
+    assert answer.body == matches_file(session, ".csv")
     assert answer.headers["content-disposition"] == 'attachment; filename="matches.csv"'
     assert request(app, "GET", "/api/matches.npz").body[:2] == b"PK"
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from app.match_file import matches_file
 from app.pair_source import PairSource
 from app.picture import Picture
 from app.session import Session
@@ -108,7 +109,7 @@ def test_exported_matches_are_those_of_the_command_to_the_last_digit(
     )
     path = tmp_path_factory.mktemp("export") / f"matches{suffix}"
     export_matches(path, result.source, result.target, result.table, result.rows, measured)
-    exported = session.export(suffix)
+    exported = matches_file(session, suffix)
     if suffix == ".csv":
         assert exported == path.read_bytes()
         assert len(list(csv.reader(io.StringIO(exported.decode())))) == 1 + len(result.rows)

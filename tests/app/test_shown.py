@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from app.analysis import Analysis
-from app.picture import draw, place
+from app.picture import draw
+from app.placing import place
 from app.session import Session
 from app.settings import ViewSettings
 from app.shown import choose_shown, thinned_rows
