@@ -35,12 +35,7 @@ class SceneView:
         self._flights = 0
         self._lock = threading.Lock()
         server.initial_camera.fov = float(FIELD_OF_VIEW)
-        # With new colours viser's client makes a new material, and drops the last one first: unless another cloud holds
-        # their shader, it is compiled again, which takes longer than to draw. This one is too far away to be seen.
-        server.scene.add_point_cloud(
-            "/keeps-shader", _FAR_AWAY, np.zeros((2, 3), np.uint8), point_shape="circle", point_shading="flat",
-            precision="float32",
-        )  # fmt: skip
+        _keep_shaders(server)
         server.on_client_connect(self._frame)
 
     def update(self) -> None:
@@ -222,6 +217,21 @@ class SceneView:
                 position, look_at = ((1 - eased) * a + eased * b for a, b in zip(before, after, strict=True))
                 _aim(client, position, look_at)
             time.sleep(FLIGHT_S / FLIGHT_STEPS)
+
+
+def _keep_shaders(server: viser.ViserServer) -> None:
+    """Draw a cloud and a line too far away to be seen.
+
+    With new colours, or another number of lines, viser's client makes a new material, and drops the last one first:
+    unless something else holds their shader, it is compiled again, which takes longer than to draw.
+    """
+    colors = np.zeros((2, 3), np.uint8)
+    server.scene.add_point_cloud(
+        "/keeps-shader/points", _FAR_AWAY, colors, point_shape="circle", point_shading="flat", precision="float32"
+    )
+    server.scene.add_line_segments(
+        "/keeps-shader/lines", _FAR_AWAY[None], colors[None], thickness=1.0, thickness_units="screen"
+    )
 
 
 def _overlays(picture: Picture | None) -> Overlays:

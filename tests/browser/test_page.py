@@ -75,7 +75,7 @@ def test_colouring_by_features_changes_the_pixels_and_the_state(viewer: Viewer) 
     expect(viewer.page.locator("#legend-title")).to_contain_text("like features, like colours")
 
 
-def test_new_colours_are_in_the_next_frame_and_need_no_shader_compiled(viewer: Viewer) -> None:
+def test_new_colours_and_lines_are_in_the_next_frame_and_need_no_shader_compiled(viewer: Viewer) -> None:
     before = viewer.pixels()
     viewer.frame.evaluate("""() => {
       const seen = window.seenByTest = { draws: 0, programs: 0 };
@@ -95,7 +95,7 @@ def test_new_colours_are_in_the_next_frame_and_need_no_shader_compiled(viewer: V
         drainMessageQueue();
       };
     }""")
-    viewer.served.session.change({"palette": "viridis"})
+    viewer.served.session.change({"palette": "viridis", "line_count": 200})
     viewer.pixels_after(before)
     seen = viewer.frame.evaluate("window.seenByTest")
     assert seen["draws"] > 0
