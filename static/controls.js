@@ -126,7 +126,7 @@ export function listenToControls(page) {
     label: "Surest tenth of the matches only, or all", run: () => change({ surest: server.chosen().surest === null ? 0.1 : null }),
   });
   for (const [coloring, label] of [["error", "error"], ["features", "features"], ["original", "original colours"],
-    ["stage", "the stage that rejects"], ["distance", "distance to the picked point"], ["quality", "the quality of features"]]) {
+    ["stage", "the stage that rejects"], ["distance", "distance to the picked point"], ["quality", "quality"]]) {
     page.command(`color-${coloring}`, { label: `Colour by ${label}`, run: () => change({ coloring }) });
   }
   page.command("defaults", { label: "All settings back to what suits this pair", run: () => change({ ...DEFAULTS }) });
