@@ -51,9 +51,8 @@ def run(options: argparse.Namespace) -> int:
     if options.data or options.weights:
         given = "DATA" if options.data else "--weights"
         raise InputError(f"{given} must go without --suite, got both; give --data or --weights-folder")
-    limited = options.quick or options.pairs is not None or set(options.only) != set(SETS)
-    if options.update and limited:
-        raise InputError("--update must go without --quick, --pairs and --only; documents show all there is")
+    if options.update and options.quick:
+        raise InputError("--update must go without --quick; two pairs of each say nothing of quality")
     if options.data_folder is None:
         raise InputError("--data must be given with --suite; it is the folder of the benchmark data")
     from cgf.evaluation.matches import check_output, write_text
@@ -76,6 +75,6 @@ def run(options: argparse.Namespace) -> int:
     write_text(output, report.as_json(summaries, results))
     note(options, f"Wrote {output}")
     if options.update:
-        for path in report.update_documents(ROOT, summaries, rows):
+        for path in report.update_documents(ROOT, summaries, rows, limit=options.pairs):
             note(options, f"Wrote {path}")
     return 0

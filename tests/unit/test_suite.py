@@ -240,6 +240,10 @@ def test_documents_and_cards_are_updated(tmp_path: Path) -> None:
     card = NetworkCard.from_json(weights.with_suffix(".json").read_text("utf-8"), source="card")
     assert card.scores == {"FGR level 1, within 1 % of the diameter, 32 dimensions": 30.0}
     assert set(written) >= {tmp_path / "README.md", tmp_path / "docs/results-robustness.svg", tmp_path / "own.json"}
+    assert "At most" not in (tmp_path / "README.md").read_text("utf-8")
+    report.update_documents(tmp_path, some_summaries(), [row], limit=24)
+    for name in ("README.md", "docs/results.md"):
+        assert "At most 24 pairs of each set and scene, evenly spread.\n" in (tmp_path / name).read_text("utf-8")
     (tmp_path / "README.md").write_text("text", "utf-8")
     with pytest.raises(
         InputError, match=r"README\.md must have the lines <!-- made by: cgf evaluate .* got no such lines"
@@ -338,7 +342,7 @@ def test_the_command_measures_pairs_of_both_models(
         (["demo", "--suite", "paper"], "DATA must go without --suite, got both; give --data or --weights-folder"),
         (
             ["--suite", "paper", "--data", "x", "--quick", "--update"],
-            "--update must go without --quick, --pairs and --o",
+            "--update must go without --quick; two pairs of each",
         ),
         (["--suite", "paper", "--data", "nowhere"], "--data must be the folder of the benchmark data, got nowhere"),
         ([], "DATA must be given, or --suite"),

@@ -30,13 +30,16 @@ def as_json(summaries: Sequence[Summary], results: Sequence[GroupScores]) -> str
     return json.dumps({"summaries": [asdict(summary) for summary in summaries], "results": results}, indent=1) + "\n"
 
 
-def update_documents(root: Path, summaries: Sequence[Summary], rows: Sequence[Row]) -> list[Path]:
+def update_documents(
+    root: Path, summaries: Sequence[Summary], rows: Sequence[Row], *, limit: int | None = None
+) -> list[Path]:
     """Write the tables into the README and `docs/results.md` of a checkout, the plots beside it, scores onto cards.
 
     Args:
         root: Of the checkout.
-        summaries: Of all sets.
+        summaries: Of all sets, or of those that the documents shall show.
         rows: That they are of.
+        limit: Most pairs that were measured of each set and scene, which the documents then say; None for all.
 
     Returns:
         The files written.
@@ -45,8 +48,9 @@ def update_documents(root: Path, summaries: Sequence[Summary], rows: Sequence[Ro
         InputError: A document is missing, or has no place for the table.
     """
     titles = {row.name: row.title for row in rows}
-    replace_marked(root / README, "\n".join(readme_table(summaries, titles)), command=COMMAND)
-    replace_marked(root / DOCUMENT, document(summaries, titles), command=COMMAND)
+    remark = "" if limit is None else f"At most {limit} pairs of each set and scene, evenly spread.\n\n"
+    replace_marked(root / README, remark + "\n".join(readme_table(summaries, titles)), command=COMMAND)
+    replace_marked(root / DOCUMENT, remark + document(summaries, titles), command=COMMAND)
     written = [root / README, root / DOCUMENT]
     for name, draw in _PLOTS.items():
         write_text(root / "docs" / name, draw(summaries))
