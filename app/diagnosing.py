@@ -32,8 +32,9 @@ _PLACES = {
 class Diagnosing:
     """Keeps the diagnosis of what is shown up to date. Methods may be called from any thread."""
 
-    def __init__(self, host: Host, analyst: Analyst, workbench: Workbench) -> None:
-        """Nothing runs before the first `update`."""
+    def __init__(self, host: Host, analyst: Analyst, workbench: Workbench, *, patience_s: float) -> None:
+        """Nothing runs before the first `update`, and for `patience_s` after it."""
+        self._patience_s = patience_s
         self._host = host
         self._analyst = analyst
         self._tasks = workbench.tasks
@@ -131,6 +132,7 @@ class Diagnosing:
 
     def _run(self, key: tuple[object, ...], make: Callable[[Job], Diagnosis], *, is_explanation: bool = False) -> None:
         def work(job: Job) -> None:
+            job.pause(self._patience_s)
             found = make(job)
             with self._lock:
                 job.check()

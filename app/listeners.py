@@ -13,9 +13,6 @@ class Listeners:
         self._lock = threading.Lock()
         self._listeners: list[Listener] = []
 
-    def __len__(self) -> int:
-        return len(self._listeners)
-
     def add(self, listener: Listener) -> Callable[[], None]:
         """Call `listener` at every notice, until the function returned is called."""
         with self._lock:

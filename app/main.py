@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from cgf.types import Transform
 
 DEFAULT_HOST = "127.0.0.1"
+PATIENCE_S = 0.25
+"""Left to the browser that paints; without a graphics card, a frame takes half of it."""
 
 _DESCRIPTION = """\
 Look at where two point clouds match: opens a page in the browser that shows both, computes features
@@ -113,7 +115,7 @@ def view(options: argparse.Namespace) -> int:
         # The server's libraries load while the clouds are read.
         warming = threading.Thread(target=_import_server, daemon=True)
         warming.start()
-        session = open_session(options)
+        session = open_session(options, patience_s=PATIENCE_S)
         if note:
             cli.note(options, note)
         _serve(session, listening, options)
@@ -141,8 +143,12 @@ def report(options: argparse.Namespace) -> int:
     return 0
 
 
-def open_session(options: argparse.Namespace) -> "Session":
+def open_session(options: argparse.Namespace, *, patience_s: float = 0.0) -> "Session":
     """Read the first pair and check the settings against it, so that bad input is refused before anything opens.
+
+    Args:
+        options: As parsed.
+        patience_s: Of the session.
 
     Raises:
         InputError: A file or a setting cannot be used.
@@ -161,7 +167,9 @@ def open_session(options: argparse.Namespace) -> "Session":
     sources[settings.pair] = sources[settings.pair].holding(pair)
     disk = None if options.no_cache else pipeline.DiskCache()
     estimate = _read_estimate(options)
-    return Session(sources, settings, given_estimate=estimate, disk=disk, max_shown=options.max_points)
+    return Session(
+        sources, settings, given_estimate=estimate, disk=disk, max_shown=options.max_points, patience_s=patience_s
+    )
 
 
 def open_pairs(options: argparse.Namespace) -> "list[PairSource]":

@@ -17,13 +17,13 @@ from app.painter import Painter
 from app.pair_source import PairSource
 from app.picking import Camera, Floats, changes_at, changes_in
 from app.picture import Picture
-from app.plots import right_within
+from app.plots import right_within, run_sweep
 from app.point import PointDetails, point_details
 from app.settings import ViewSettings
 from app.shown import MAX_SHOWN
 from app.snapshot import Snapshot, Status
 from app.wording import in_words_of_the_page, text_of
-from app.workbench import Workbench
+from app.workbench import WAIT_S, Workbench
 from cgf import pipeline
 from cgf.checks import InputError
 from cgf.types import Transform
@@ -31,9 +31,6 @@ from cgf.types import Transform
 PROGRESS_INTERVAL_S = 0.25
 """Between two notices of one stage's progress: each has the browser paint the page, scene included, which without a
 graphics card takes the time of the computation itself."""
-PAINT_S = 0.25
-"""Left to the browser after new matches, before the pose is estimated, which takes all processors: without a graphics
-card, painting the points in their new colours needs them too."""
 
 
 class Session:
@@ -47,6 +44,7 @@ class Session:
         given_estimate: Transform | None = None,
         disk: pipeline.DiskCache | None = None,
         max_shown: int = MAX_SHOWN,
+        patience_s: float = 0.0,
     ) -> None:
         """Open `pairs` with the first settings; nothing runs before `start`.
 
@@ -56,6 +54,8 @@ class Session:
             given_estimate: A pose of the first pair to be diagnosed.
             disk: Where features and matches are kept from one run to the next; None keeps them nowhere.
             max_shown: Most points of one cloud that are drawn.
+            patience_s: Left to a browser that paints new colours, before the pose is estimated, which takes all
+                processors; four times that before the diagnosis. Where it is not 0, other dimensions are matched ahead.
         """
         self._pairs = tuple(pairs)
         self._analyst = Analyst(
@@ -76,8 +76,10 @@ class Session:
         # Estimating a pose holds up nothing: the next change is computed meanwhile.
         self._worker = Worker(on_progress=self._on_progress, on_idle=self._listeners.notify, on_error=self._on_error)
         self._estimator = Worker(on_progress=self._on_progress, on_idle=self._listeners.notify, on_error=self._on_error)
+        self._ahead = Worker(on_progress=lambda *_: None, on_idle=lambda: None, on_error=lambda _: None)
+        self._patience_s = patience_s
         self.workbench = Workbench(self, self._analyst)
-        self.diagnosing = Diagnosing(self, self._analyst, self.workbench)
+        self.diagnosing = Diagnosing(self, self._analyst, self.workbench, patience_s=4 * patience_s)
         self._painter = Painter(self.workbench, self.diagnosing)
 
     def start(self) -> None:
@@ -88,6 +90,7 @@ class Session:
         """Stop working; does not wait."""
         self._worker.close()
         self._estimator.close()
+        self._ahead.close()
         self.workbench.tasks.close()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
@@ -101,6 +104,10 @@ class Session:
     def wait_for_main_work(self, timeout_s: float | None = None) -> bool:
         """The same, but for what panels asked for beside it."""
         return self._worker.wait_until_idle(timeout_s) and self._estimator.wait_until_idle(timeout_s)
+
+    def wait_for_look_ahead(self, timeout_s: float | None = None) -> bool:
+        """The same for what nobody has asked for yet."""
+        return self._ahead.wait_until_idle(timeout_s)
 
     @property
     def settings(self) -> ViewSettings:
@@ -292,6 +299,7 @@ class Session:
     def _submit(self) -> None:
         settings, started = self._settings, time.perf_counter()
         self._estimator.cancel()
+        self._ahead.cancel()
         self.diagnosing.stop()
 
         def work(job: Job) -> None:
@@ -308,11 +316,11 @@ class Session:
                     self._estimator.submit(lambda job: estimate(job, analysis, elapsed_s))
                 else:
                     self._finish(settings, elapsed_s)
-            self._analyst.load_kernels(analysis)
 
         def estimate(job: Job, analysis: Analysis, elapsed_s: float) -> None:
-            if len(self._listeners):
-                job.pause(PAINT_S)
+            # At first, the browser still loads the page; without the true pose, its colours wait for the estimate.
+            is_first = self._work_done is None and analysis.truth is not None
+            job.pause(4 * self._patience_s if is_first else self._patience_s)
             registration = self._analyst.register(analysis, job)
             with self._lock:
                 job.check()
@@ -330,6 +338,18 @@ class Session:
         self._status = Status("ready", "Ready", 1.0, elapsed_s)
         self._touch()
         self._diagnose()
+        if self._patience_s and self._analysis is not None:
+            analysis = self._analysis
+            self._ahead.submit(lambda job: self._look_ahead(analysis, settings, job))
+
+    def _look_ahead(self, analysis: Analysis, settings: ViewSettings, job: Job) -> None:
+        """Load kernels and match in all dimensions, so that the next one chosen is only drawn."""
+        job.pause(4 * self._patience_s)
+        while not self.wait_until_idle(WAIT_S):
+            job.check()
+        self._analyst.load_kernels(analysis)
+        while run_sweep("dim", analysis, settings, self._analyst, job):
+            pass
 
     def _diagnose(self) -> None:
         """Have what is shown diagnosed, if it belongs to the settings; called with the lock held."""

@@ -403,6 +403,16 @@ def test_a_second_run_of_the_viewer_computes_nothing_again(
         monkeypatch.setattr("cgf.pipeline.cache.match_features", None)
     assert snapshots[0].numbers == snapshots[1].numbers
     assert len(list(disk.folder.iterdir())) == 4
-    # But the kernels are loaded, for the next change.
+    assert described == []
+    monkeypatch.undo()
+    monkeypatch.setattr(pipeline, "describe", noting)
+    session = Session([source_of(hills())], SETTINGS, disk=disk, patience_s=1e-3)
+    run(session)
+    # With a browser that is waited for, kernels are loaded and other dimensions matched before they are asked for.
+    assert session.wait_for_look_ahead(LONG_S)
+    dimensions = session.workbench.plots().dims.points
+    session.close()
     assert len(described) == 1
     assert described[0] < 10
+    assert len(dimensions) > 1
+    assert all(point.precision is not None for point in dimensions)
