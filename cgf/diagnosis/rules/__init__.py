@@ -1,7 +1,7 @@
 """From measures to findings: one function a kind of finding, each with the threshold it judges by.
 
 The thresholds are those of the measurements named beside them: 98 pairs of FGR (level 1), redkitchen, home_at and the
-demo, of which 89 register, and pairs and surfaces made for the purpose. A finding whose evidence is weak is a caution,
+demo, of which 97 register, and pairs and surfaces made for the purpose. A finding whose evidence is weak is a caution,
 or none.
 """
 
