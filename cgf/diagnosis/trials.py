@@ -180,4 +180,5 @@ def usual_lengths(wanted: PairSettings) -> dict[str, Any]:
 
 def _part(features: Features, most: int) -> Features:
     chosen = even_rows(len(features), most)
-    return replace(features, indices=features.indices[chosen], vectors=features.vectors[chosen])
+    quality = None if features.quality is None else features.quality[chosen]
+    return replace(features, indices=features.indices[chosen], vectors=features.vectors[chosen], quality=quality)
