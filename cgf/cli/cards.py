@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from cgf.checks import InputError
 from cgf.cli.common import Parser
 
 
@@ -21,6 +20,7 @@ def options_of_card(card: Path, add_options: Callable[[Parser], None]) -> Namesp
     Raises:
         InputError: There is no such card, or it does not say how the weights were made.
     """
+    from cgf.checks import InputError
     from cgf.descriptors.network import NetworkCard
 
     if not card.is_file():
@@ -40,6 +40,8 @@ def find_folders(names: Sequence[str], root: Path, *, option: str) -> list[Path]
     Raises:
         InputError: There is none, or more than one; the sentence tells to give `option` instead.
     """
+    from cgf.checks import InputError
+
     if not root.is_dir():
         raise InputError(f"--data-root must be a folder, got {root}")
     found: dict[str, list[Path]] = {name: [] for name in names}
@@ -74,4 +76,6 @@ class _CardParser(Parser):
         self._card = card
 
     def error(self, message: str) -> NoReturn:
+        from cgf.checks import InputError
+
         raise InputError(f"{self._card} must say how its weights were made, got a card with: {message}")
