@@ -112,8 +112,8 @@ export function render(state) {
   if (asked === state.revision) return;
   asked = state.revision;
   page.api("point").then((answer) => {
-    // The next state asks for its own.
-    if (asked !== state.revision) return;
+    // The next state asks for its own; there is no answer where the point is not picked any more.
+    if (asked !== state.revision || !answer) return;
     details = answer;
     draw();
   }, () => { asked = null; });
