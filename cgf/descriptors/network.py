@@ -55,12 +55,10 @@ class NetworkCard:
     training: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     """Settings of `cgf train`, which `cgf train --config` reads; folders by their names."""
-
     root: bool = True
     """Whether the network takes the square root of the histogram, times `INPUT_GAIN`."""
     nested: bool = True
     """Whether features are compared at unit length, and those of fewer dimensions are prefixes of those of more."""
-
     pooled: bool = True
     """Whether features are averaged over the described points within `min_radius`."""
 
