@@ -4,13 +4,12 @@ Inference needs no torch: importing it takes seconds, and these are a few matrix
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Float32
@@ -23,6 +22,9 @@ from cgf.descriptors.settings import (
     ModelDefaults,
     ModelName,
 )
+
+if TYPE_CHECKING:
+    from cgf.descriptors.amx import TiledNetwork
 
 NetworkKind = Literal["azimuth", "paper", "pca"]
 Weights = dict[str, Float32[np.ndarray, "..."]]
@@ -131,7 +133,7 @@ class Network:
             # Projection on the principal components of training histograms: the paper's linear baseline.
             return (histograms - weights["mean"]) @ weights["components"].T, None
         values = np.sqrt(histograms) * np.float32(INPUT_GAIN) if self.card.root else histograms
-        hidden = _HIDDEN[self.card.kind](values, self._prepared)
+        hidden = self._hidden(values)
         vectors = _linear(hidden, weights, "out")
         if self.card.nested:
             vectors = unit_rows(vectors)
@@ -145,11 +147,23 @@ class Network:
         """Whether the network was taught the quality of its features."""
         return "quality.0.bias" in self.weights
 
+    def _hidden(self, values: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
+        if self.card.kind == "paper":
+            return _paper_hidden(values, self.weights)
+        # Compiled, so imported only where features are computed: reading a card takes no time.
+        from cgf.descriptors import amx
+
+        return self._tiled.hidden(values) if amx.uses_tiles() else _azimuth_hidden(values, self._filtered)
+
     @cached_property
-    def _prepared(self) -> Weights:
-        """The weights, with what is derived from them once."""
-        if self.card.kind != "azimuth":
-            return self.weights
+    def _tiled(self) -> "TiledNetwork":
+        from cgf.descriptors.amx import pack_network
+
+        return pack_network(self.weights)
+
+    @cached_property
+    def _filtered(self) -> Weights:
+        """The weights, with what `convolve_circularly` takes."""
         from cgf.descriptors.convolution import filter_tiles
 
         return self.weights | {f"tiles.{i}": filter_tiles(self.weights[f"columns.{i}.weight"]) for i in range(3)}
@@ -189,7 +203,6 @@ def unit_rows(vectors: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K D"]
 
 def _azimuth_hidden(roots: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K H"]:
     """Circular convolutions over the 12 azimuth columns, then their maximum and mean: turning x changes little."""
-    # Compiled, so imported only where features are computed: reading a card takes no time.
     from cgf.descriptors.convolution import convolve_circularly
 
     # Azimuth first, so that a column of all points is one matrix.
@@ -213,12 +226,6 @@ def _linear_relu(values: Float32[np.ndarray, "K A"], weights: Weights, name: str
 
 def _linear(values: Float32[np.ndarray, "K A"], weights: Weights, name: str) -> Float32[np.ndarray, "K B"]:
     return values @ weights[f"{name}.weight"].T + weights[f"{name}.bias"]
-
-
-_HIDDEN: dict[NetworkKind, Callable[[np.ndarray, Weights], np.ndarray]] = {
-    "azimuth": _azimuth_hidden,
-    "paper": _paper_hidden,
-}
 
 
 def read_network(path: Path) -> Network:

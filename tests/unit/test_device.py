@@ -19,7 +19,8 @@ DEVICES = [
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("name", ["cgf", "pca"])
-def test_features_are_those_of_the_processor(name, device):
+def test_features_are_those_of_the_processor(name, device, monkeypatch):
+    monkeypatch.setenv("CGF_PRECISION", "float32")
     cloud = load_demo().target
     rows = np.arange(0, len(cloud), 17)
     descriptor = make_descriptor(name, SETTINGS)

@@ -45,9 +45,10 @@ def histograms(count=20):
 
 
 @pytest.mark.parametrize("kind", ["azimuth", "paper"])
-def test_inference_equals_torch(kind):
+def test_inference_equals_torch(kind, monkeypatch):
     import torch
 
+    monkeypatch.setenv("CGF_PRECISION", "float32")
     module, network = torch_network(kind)
     expected = module(torch.from_numpy(histograms())).detach().numpy()
     vectors, quality = network.embed_and_judge(histograms())

@@ -1,0 +1,315 @@
+"""The azimuth network in bfloat16, on the tile registers (AMX) of processors that have them.
+
+A tile instruction multiplies 16 x 32 by 32 x 16 numbers, for which float32 vectors take 16 times as long. No library
+that is small enough to depend on offers them to NumPy, so the instructions are written here, as assembly in a compiled
+loop. Features differ from those of `cgf.descriptors.convolution` by the rounding of inputs to 8 significant bits.
+"""
+
+import ctypes
+import os
+import platform
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, no_type_check
+
+import llvmlite.binding as llvm
+import numpy as np
+from jaxtyping import Float32, UInt16
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
+
+from cgf.descriptors.settings import AZIMUTH_BINS
+
+EDGE = 32
+"""Rows and columns of a block of sums: two tiles of 16 either way, which leaves four tiles for the factors."""
+_DEPTH = 32
+"""Numbers of a row of a tile."""
+_ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA = 158, 0x1023, 18
+
+_CONFIGURATION = np.zeros(64, np.uint8)
+"""Of the eight tiles, as `ldtilecfg` reads it: palette 1, 64 bytes a row, 16 rows."""
+_CONFIGURATION[0] = 1
+_CONFIGURATION[16:32].view(np.uint16)[:] = 64
+_CONFIGURATION[48:56] = 16
+
+
+@lru_cache(maxsize=1)
+def has_tiles() -> bool:
+    """Whether this processor multiplies tiles of bfloat16 and the system lets this process do so (Linux 5.16)."""
+    features = llvm.get_host_cpu_features()
+    if platform.system() != "Linux" or not all(features.get(name, False) for name in ("amx-tile", "amx-bf16")):
+        return False
+    # The registers are so large that the kernel saves them only for processes that have asked.
+    permitted = ctypes.CDLL(None).syscall(_ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA) == 0
+    if permitted:
+        llvm.initialize_native_asmparser()
+    return permitted
+
+
+def uses_tiles() -> bool:
+    """Whether the network computes in bfloat16: where it can, unless `CGF_PRECISION` is `float32`.
+
+    Raises:
+        ValueError: `CGF_PRECISION` is neither empty, `bfloat16` nor `float32`.
+    """
+    precision = os.environ.get("CGF_PRECISION", "")
+    if precision not in ("", "bfloat16", "float32"):
+        raise ValueError(f"CGF_PRECISION must be bfloat16 or float32, got {precision}")
+    return precision != "float32" and has_tiles()
+
+
+def _rounded_up(number: int, multiple: int) -> int:
+    return -(-number // multiple) * multiple
+
+
+def to_bfloat16(values: Float32[np.ndarray, "*S"]) -> UInt16[np.ndarray, "*S"]:
+    """The upper halves of the numbers, rounded to the nearest, ties to even."""
+    bits = values.view(np.uint32)
+    return ((bits + 0x7FFF + ((bits >> 16) & 1)) >> 16).astype(np.uint16)
+
+
+def pack_weights(weight: Float32[np.ndarray, "O I3"]) -> UInt16[np.ndarray, "B S 1024"]:
+    """A layer for the tiles: per `EDGE` outputs, and per step of 32 inputs, two tiles of 16 outputs each.
+
+    Its inputs are three runs of equal length, each padded with zeros to whole steps.
+    """
+    taps = 3
+    outputs, inputs = len(weight), weight.shape[1] // taps
+    blocks, steps = _rounded_up(outputs, EDGE) // EDGE, _rounded_up(inputs, _DEPTH) // _DEPTH
+    padded = np.zeros((blocks * EDGE, taps, steps * _DEPTH), np.float32)
+    padded[:outputs, :, :inputs] = weight.reshape(outputs, taps, inputs)
+    # A tile's row holds, for each of 16 outputs, the weights of two inputs that follow each other.
+    parts = to_bfloat16(padded).reshape(blocks, 2, 16, taps * steps, 16, 2)
+    return np.ascontiguousarray(parts.transpose(0, 3, 1, 4, 2, 5)).reshape(blocks, taps * steps, 2 * 16 * _DEPTH)
+
+
+def _run(label: int, operand: int) -> str:
+    """Assembly of one run of steps: two tiles of rows times two tiles of weights, added to the four sums."""
+    return f"""
+        movq ${operand}, %rax
+        movq $3, %r10
+        shlq $$4, %r10
+        addq %rax, %r10
+        movq $5, %rcx
+    {label}:
+        tileloadd (%rax,$3,1), %tmm4
+        tileloadd (%rdx,%r11,1), %tmm6
+        tdpbf16ps %tmm6, %tmm4, %tmm0
+        tileloadd 1024(%rdx,%r11,1), %tmm7
+        tdpbf16ps %tmm7, %tmm4, %tmm1
+        tileloadd (%r10,$3,1), %tmm5
+        tdpbf16ps %tmm6, %tmm5, %tmm2
+        tdpbf16ps %tmm7, %tmm5, %tmm3
+        addq $$64, %rax
+        addq $$64, %r10
+        addq $$2048, %rdx
+        decq %rcx
+        jnz {label}b
+    """
+
+
+_PRODUCTS = f"""
+    tilezero %tmm0
+    tilezero %tmm1
+    tilezero %tmm2
+    tilezero %tmm3
+    movq $$64, %r11
+    movq $4, %rdx
+    {_run(1, 0)} {_run(2, 1)} {_run(3, 2)}
+    movq $6, %rax
+    movq $$128, %r11
+    tilestored %tmm0, (%rax,%r11,1)
+    tilestored %tmm1, 64(%rax,%r11,1)
+    tilestored %tmm2, 2048(%rax,%r11,1)
+    tilestored %tmm3, 2112(%rax,%r11,1)
+"""
+"""Operands: three addresses of rows, bytes from row to row, address of weights, steps of a run, address of sums."""
+_CLOBBERED = "~{rax},~{rcx},~{rdx},~{r10},~{r11},~{memory},~{dirflag},~{fpsr},~{flags}"
+_INT64 = ir.IntType(64)
+
+
+def _assembly(builder: Any, text: str, operands: list[Any], constraints: str) -> None:
+    signature = ir.FunctionType(ir.VoidType(), [_INT64] * len(operands))
+    builder.call(ir.InlineAsm(signature, text, constraints, side_effect=True), operands)
+
+
+@intrinsic
+@no_type_check
+def _multiply(_context, rows, first, second, third, stride, weights, steps, sums):
+    """Write into `sums` (32, 32) the products of 32 rows with 32 columns of weights.
+
+    A row consists of three runs of `steps` times 32 numbers, which begin `first`, `second` and `third` into `rows`; the
+    next row's begin `stride` numbers farther.
+    """
+
+    def generate(context, builder, signature, args):
+        def address(place, offset=None):
+            data = context.make_array(signature.args[place])(context, builder, args[place]).data
+            return builder.ptrtoint(data if offset is None else builder.gep(data, [offset]), _INT64)
+
+        _assembly(
+            builder,
+            _PRODUCTS,
+            [
+                *(address(0, args[k]) for k in (1, 2, 3)),
+                builder.shl(args[4], _INT64(1)),
+                address(5),
+                args[6],
+                address(7),
+            ],
+            ",".join(["r"] * 7 + [_CLOBBERED]),
+        )
+        return context.get_dummy_value()
+
+    return types.void(rows, first, second, third, stride, weights, steps, sums), generate
+
+
+@intrinsic
+@no_type_check
+def _configure(_context, configuration):
+    def generate(context, builder, signature, args):
+        data = context.make_array(signature.args[0])(context, builder, args[0]).data
+        _assembly(builder, "ldtilecfg ($0)", [builder.ptrtoint(data, _INT64)], "r,~{memory}")
+        return context.get_dummy_value()
+
+    return types.void(configuration), generate
+
+
+@intrinsic
+@no_type_check
+def _release(_context):
+    def generate(context, builder, _signature, _args):
+        _assembly(builder, "tilerelease", [], "~{memory}")
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
+@intrinsic
+@no_type_check
+def _bits(_context, value):
+    def generate(_context, builder, _signature, args):
+        return builder.bitcast(args[0], ir.IntType(32))
+
+    return types.uint32(value), generate
+
+
+@njit(inline="always")
+@no_type_check
+def _rounded(value):
+    bits = _bits(value)
+    return np.uint16((bits + np.uint32(0x7FFF) + ((bits >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16))
+
+
+@njit(nogil=True)
+@no_type_check
+def _round(values, rounded):
+    for j in range(len(values)):
+        rounded[j] = _rounded(values[j])
+
+
+@njit(nogil=True)
+@no_type_check
+def _activate(sums, bias, rounded, column):
+    """Rectified sums plus bias, into 32 columns of `rounded` from `column` on."""
+    for r in range(EDGE):
+        row = rounded[r]
+        for j in range(EDGE):
+            row[column + j] = _rounded(max(sums[r, j] + bias[column + j], np.float32(0.0)))
+
+
+@njit(nogil=True)
+@no_type_check
+def _activate_and_pool(sums, bias, largest, total, column):
+    for r in range(EDGE):
+        for j in range(EDGE):
+            value = max(sums[r, j] + bias[column + j], np.float32(0.0))
+            largest[r, column + j] = max(largest[r, column + j], value)
+            total[r, column + j] += value
+
+
+@njit(nogil=True)
+@no_type_check
+def _convolve(columns, weights, sums, sector, block):
+    """The sums of `EDGE` outputs of one sector, from itself and its two neighbours."""
+    plane, stride = columns.shape[1] * columns.shape[2], columns.shape[2]
+    before, after = (sector + AZIMUTH_BINS - 1) % AZIMUTH_BINS, (sector + 1) % AZIMUTH_BINS
+    _multiply(
+        columns, before * plane, sector * plane, after * plane, stride, weights[block], len(weights[block]) // 3, sums
+    )
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _fill_hidden(values, bins, first, second, third, last, biases, configuration, hidden):
+    inputs = np.zeros((AZIMUTH_BINS, EDGE, len(first[0]) // 3 * _DEPTH), np.uint16)
+    columns = np.empty((AZIMUTH_BINS, EDGE, len(first) * EDGE), np.uint16)
+    others = np.empty((AZIMUTH_BINS, EDGE, len(second) * EDGE), np.uint16)
+    width = len(third) * EDGE
+    largest, total = np.empty((EDGE, width), np.float32), np.empty((EDGE, width), np.float32)
+    pooled = np.zeros((1, EDGE, len(last[0]) * _DEPTH), np.uint16)
+    sums = np.empty((EDGE, EDGE), np.float32)
+    run = len(last[0]) // 3
+    share = np.float32(1.0 / AZIMUTH_BINS)
+    _configure(configuration)
+    for start in range(0, len(values), EDGE):
+        count = min(EDGE, len(values) - start)
+        for r in range(count):
+            for sector in range(AZIMUTH_BINS):
+                _round(values[start + r, sector * bins : (sector + 1) * bins], inputs[sector, r])
+        for sector in range(AZIMUTH_BINS):
+            for block in range(len(first)):
+                _convolve(inputs, first, sums, sector, block)
+                _activate(sums, biases[0], columns[sector], block * EDGE)
+        for sector in range(AZIMUTH_BINS):
+            for block in range(len(second)):
+                _convolve(columns, second, sums, sector, block)
+                _activate(sums, biases[1], others[sector], block * EDGE)
+        largest[:], total[:] = np.float32(0.0), np.float32(0.0)
+        for sector in range(AZIMUTH_BINS):
+            for block in range(len(third)):
+                _convolve(others, third, sums, sector, block)
+                _activate_and_pool(sums, biases[2], largest, total, block * EDGE)
+        for r in range(count):
+            _round(largest[r], pooled[0, r])
+            for j in range(width):
+                total[r, j] *= share
+            _round(total[r], pooled[0, r, width:])
+        for block in range(len(last)):
+            _multiply(pooled, 0, run * _DEPTH, 2 * run * _DEPTH, pooled.shape[2], last[block], run, sums)
+            for r in range(count):
+                for j in range(min(EDGE, hidden.shape[1] - block * EDGE)):
+                    hidden[start + r, block * EDGE + j] = max(sums[r, j] + biases[3][block * EDGE + j], np.float32(0.0))
+    _release()
+
+
+@dataclass(frozen=True, eq=False)
+class TiledNetwork:
+    """The weights of an azimuth network up to its hidden layer, packed for the tiles."""
+
+    layers: tuple[UInt16[np.ndarray, "_ _ 1024"], ...]
+    biases: tuple[Float32[np.ndarray, "_"], ...]
+    """Padded with zeros to whole blocks."""
+    width: int
+    """Of the hidden layer."""
+
+    def hidden(self, values: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
+        """The hidden layer for roots of histograms, as in `cgf.descriptors.network`."""
+        hidden = np.empty((len(values), self.width), np.float32)
+        _fill_hidden(values, values.shape[1] // AZIMUTH_BINS, *self.layers, self.biases, _CONFIGURATION, hidden)
+        return hidden
+
+
+def pack_network(weights: dict[str, Float32[np.ndarray, "..."]]) -> TiledNetwork:
+    """Pack the three convolutions and the hidden layer of an azimuth network."""
+    layers = [pack_weights(weights[f"columns.{k}.weight"]) for k in range(3)]
+    # The maximum and the mean over the sectors, each padded as the sums of the third layer are.
+    weight, width = weights["hidden.weight"], len(layers[2]) * EDGE
+    both = np.zeros((len(weight), _rounded_up(2 * width, 3 * _DEPTH)), np.float32)
+    channels = weight.shape[1] // 2
+    both[:, :channels], both[:, width : width + channels] = weight[:, :channels], weight[:, channels:]
+    layers.append(pack_weights(both))
+    biases = [weights[f"{name}.bias"] for name in ("columns.0", "columns.1", "columns.2", "hidden")]
+    padded = [np.pad(bias, (0, len(layer) * EDGE - len(bias))) for bias, layer in zip(biases, layers, strict=True)]
+    return TiledNetwork(tuple(layers), tuple(padded), len(weight))

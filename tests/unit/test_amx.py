@@ -1,0 +1,89 @@
+"""The network on tile registers against the one of plain matrix products; skipped where there are no such registers."""
+
+import numpy as np
+import pytest
+
+from cgf.descriptors import amx
+from cgf.descriptors.network import read_network, shipped_weights
+
+tiles = pytest.mark.skipif(not amx.has_tiles(), reason="the processor multiplies no tiles of bfloat16 (AMX)")
+
+
+def roots(count):
+    rows = np.random.default_rng(5).random((count, 2244), dtype=np.float32) ** 8
+    return 16 * np.sqrt(rows / rows.sum(axis=1, keepdims=True))
+
+
+def as_float(rounded):
+    return (rounded.astype(np.uint32) << 16).view(np.float32)
+
+
+def network_by_definition(weights, values):
+    """In double precision, with what the tiles are given rounded to bfloat16."""
+
+    def rounded(numbers):
+        return as_float(amx.to_bfloat16(np.ascontiguousarray(numbers, np.float32))).astype(np.float64)
+
+    def layer(inputs, name):
+        return np.maximum(rounded(inputs) @ rounded(weights[f"{name}.weight"]).T + weights[f"{name}.bias"], 0)
+
+    columns = values.reshape(len(values), 12, -1)
+    for k in range(3):
+        around = [np.roll(columns, 1, axis=1), columns, np.roll(columns, -1, axis=1)]
+        columns = layer(np.concatenate(around, axis=2), f"columns.{k}")
+    return layer(np.concatenate([columns.max(axis=1), columns.mean(axis=1)], axis=1), "hidden")
+
+
+def random_weights(width, hidden):
+    rng = np.random.default_rng(6)
+    shapes = {"columns.0": (width, 561), "columns.1": (width, 3 * width), "columns.2": (width, 3 * width)}
+    shapes["hidden"] = (hidden, 2 * width)
+    weights = {}
+    for name, (outputs, inputs) in shapes.items():
+        weights[f"{name}.weight"] = rng.normal(scale=inputs**-0.5, size=(outputs, inputs)).astype(np.float32)
+        weights[f"{name}.bias"] = rng.normal(scale=0.1, size=outputs).astype(np.float32)
+    return weights
+
+
+def test_rounding_is_to_the_nearest_and_ties_go_to_even():
+    values = np.array([1.0, 1 + 2**-8, 1 + 3 * 2**-8, 1 + 2**-8 + 2**-20, -3.14159, 0.0], np.float32)
+    expected = [1.0, 1.0, 1 + 2**-6, 1 + 2**-7, -3.140625, 0.0]
+    assert as_float(amx.to_bfloat16(values)).tolist() == expected
+
+
+@tiles
+@pytest.mark.parametrize(("count", "width", "hidden"), [(1, 192, 384), (32, 32, 64), (75, 24, 40), (33, 100, 97)])
+def test_equals_the_definition_for_any_number_of_points_and_channels(count, width, hidden):
+    weights = random_weights(width, hidden)
+    found = amx.pack_network(weights).hidden(roots(count))
+    # Sums differ in the last digit of single precision, which may round a value the other way.
+    np.testing.assert_allclose(found, network_by_definition(weights, roots(count)), atol=0.01)
+    assert np.abs(found - network_by_definition(weights, roots(count))).mean() < 1e-4
+
+
+@tiles
+@pytest.mark.parametrize("model", ["object", "indoor"])
+def test_features_are_those_of_single_precision(model, monkeypatch):
+    network = read_network(shipped_weights(f"cgf-{model}"))
+    histograms = (roots(200) / 16) ** 2
+    monkeypatch.setenv("CGF_PRECISION", "float32")
+    exact, exact_quality = network.embed_and_judge(histograms)
+    monkeypatch.setenv("CGF_PRECISION", "bfloat16")
+    rounded, rounded_quality = network.embed_and_judge(histograms)
+    assert (exact != rounded).any()
+    assert np.linalg.norm(exact - rounded, axis=1).max() < 0.02
+    np.testing.assert_allclose(rounded_quality, exact_quality, atol=0.02)
+
+
+def test_the_environment_names_the_precision(monkeypatch):
+    monkeypatch.setenv("CGF_PRECISION", "float32")
+    assert not amx.uses_tiles()
+    monkeypatch.setenv("CGF_PRECISION", "float16")
+    with pytest.raises(ValueError, match="CGF_PRECISION must be bfloat16 or float32, got float16"):
+        amx.uses_tiles()
+
+
+def test_without_such_registers_precision_is_single(monkeypatch):
+    monkeypatch.delenv("CGF_PRECISION", raising=False)
+    monkeypatch.setattr(amx, "has_tiles", lambda: False)
+    assert not amx.uses_tiles()
