@@ -31,7 +31,12 @@ def options_of_card(card: Path, add_options: Callable[[Parser], None]) -> Namesp
         raise InputError(f"--config must say how its weights were made, got {card} without config and command")
     parser = _CardParser(card)
     add_options(parser)
-    return parser.parse_args([*words, "--output", content.model])
+    options = parser.parse_args([*words, "--output", content.model])
+    # Older cards keep them only here.
+    for name in ("support_radius", "min_radius"):
+        if getattr(options, name) is None:
+            setattr(options, name, getattr(content, name))
+    return options
 
 
 def find_folders(names: Sequence[str], root: Path, *, option: str) -> list[Path]:

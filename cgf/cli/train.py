@@ -62,6 +62,12 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     recipe.add_argument("--dims", type=int, nargs="+", metavar="N", help="widths; paper and pca take the last alone")
     recipe.add_argument("--width", type=int, metavar="N", help="channels of the azimuth network (default: 192)")
     recipe.add_argument("--steps", type=int, metavar="N", help="minibatches (default: 6000, or 3 epochs for paper)")
+    recipe.add_argument("--support-radius", type=float, metavar="R", help="described, in diameters or metres")
+    recipe.add_argument("--min-radius", type=float, metavar="R", help="of the innermost shell")
+    recipe.add_argument(
+        "--insets", type=int, nargs="+", metavar="N", help="join supports smaller by N shells (default: 0, one support)"
+    )
+    recipe.add_argument("--join-steps", type=int, metavar="N", help="minibatches in which that is learned, at the end")
     recipe.add_argument("--batch", type=int, metavar="N", help="correspondences or triplets a minibatch")
     recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")
     recipe.add_argument("--learning-rate", type=float, metavar="X", help="default: 1e-3, or 1e-4 for paper")

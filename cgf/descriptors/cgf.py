@@ -77,7 +77,7 @@ class HistogramDescriptor:
         def fill(part: slice) -> None:
             raise_if_cancelled(cancelled)
             centers = cloud.points[rows[part]]
-            histograms, counts = grid.histograms(centers, frames[part], soft=card.soft)
+            histograms, counts = grid.nested_histograms(centers, frames[part], soft=card.soft, insets=card.insets)
             vectors[part], judged = self.network.embed_and_judge(histograms)
             if quality is not None:
                 quality[part] = judged

@@ -75,8 +75,9 @@ def embed_on_device(
     queries = torch.from_numpy((centers - offset).astype(np.float32)).to(device)
     axes = torch.from_numpy(frames.astype(np.float32)).to(device)
     weights = {name: torch.from_numpy(values).to(device) for name, values in network.weights.items()}
-    shells = RADIAL_BINS - 1
-    edges = min_radius * (support_radius / min_radius) ** (torch.arange(shells, dtype=torch.float64) / shells)
+    card, shells = network.card, RADIAL_BINS - 1
+    steps = torch.arange(-max(card.insets), shells, dtype=torch.float64) / shells
+    edges = min_radius * (support_radius / min_radius) ** steps
     sq_edges = edges.square().float().to(device)
     # In the order of coarse cells, so that the points of a part lie close together.
     cells = torch.floor(queries / support_radius).long()
@@ -88,11 +89,12 @@ def embed_on_device(
             low, high = queries[rows].amin(dim=0), queries[rows].amax(dim=0)
             near = cloud[((cloud >= low - support_radius) & (cloud <= high + support_radius)).all(dim=1)]
             parts = [
-                _histograms(near, queries[part], axes[part], sq_edges, support_radius, soft=network.card.soft)
+                _histograms(
+                    near, queries[part], axes[part], sq_edges, support_radius, soft=card.soft, insets=card.insets
+                )
                 for part in torch.split(rows, max(_PAIRS // max(len(near), 1), 1))
             ]
             histograms, counts = (torch.cat(column) for column in zip(*parts, strict=True))
-            card = network.card
             values = histograms.sqrt() * INPUT_GAIN if card.root else histograms
             vectors, logits = forward(card.kind, values, weights)
             if card.nested:
@@ -102,9 +104,16 @@ def embed_on_device(
 
 
 def _histograms(
-    points: "Tensor", centers: "Tensor", frames: "Tensor", sq_edges: "Tensor", radius: float, *, soft: bool
+    points: "Tensor",
+    centers: "Tensor",
+    frames: "Tensor",
+    sq_edges: "Tensor",
+    radius: float,
+    *,
+    soft: bool,
+    insets: tuple[int, ...],
 ) -> "tuple[Tensor, Tensor]":
-    """What `cgf.descriptors.spherical_histogram` computes, for every pair of a centre and a point."""
+    """What `cgf.descriptors.spherical_histogram` computes, (K, S, 2244), for every pair of a centre and a point."""
     import torch
 
     offsets = points[None] - centers[:, None]
@@ -116,8 +125,9 @@ def _histograms(
     elevation = torch.acos((local[:, 2] / sq.sqrt()).clamp(-1, 1)) * (ELEVATION_BINS / np.pi)
     turn = (torch.atan2(local[:, 1], local[:, 0]) + np.pi) * (_HALF_SECTORS / (2 * np.pi))
     sector = turn.long() % _HALF_SECTORS
-    column = shell + RADIAL_BINS * elevation.long().clamp(max=ELEVATION_BINS - 1)
-    size = RADIAL_BINS * ELEVATION_BINS
+    shells = len(sq_edges) + 1
+    column = shell + shells * elevation.long().clamp(max=ELEVATION_BINS - 1)
+    size = shells * ELEVATION_BINS
     bins = (rows * _HALF_SECTORS + sector) * size + column
     hits = torch.bincount(bins, minlength=len(centers) * _HALF_SECTORS * size).float()
     halves = hits.view(len(centers), AZIMUTH_BINS, 2, size)
@@ -125,24 +135,34 @@ def _histograms(
     if soft:
         beside = halves[:, :, 1].roll(1, dims=1) + halves[:, :, 0].roll(-1, dims=1)
         sectors = 0.75 * sectors + 0.25 * beside
-    counts = torch.bincount(rows, minlength=len(centers))
-    return sectors.reshape(-1, HISTOGRAM_BINS) / counts.clamp(min=1)[:, None], counts
+    sectors = sectors.view(-1, AZIMUTH_BINS, ELEVATION_BINS, shells)
+    supports = []
+    for inset in insets:
+        merged = shells - RADIAL_BINS - inset
+        support = sectors[..., merged : merged + RADIAL_BINS].clone()
+        support[..., 0] += sectors[..., :merged].sum(dim=3)
+        support = support.reshape(-1, HISTOGRAM_BINS)
+        supports.append(support / support.sum(dim=1, keepdim=True).clamp(min=1))
+    return torch.stack(supports, dim=1), torch.bincount(rows, minlength=len(centers))
 
 
 def forward(kind: "NetworkKind", values: "Tensor", weights: "dict[str, Tensor]") -> "tuple[Tensor, Tensor | None]":
-    """Map (K, 2244) histograms, or their roots, to (K, D), not normalised, and (K,) logits of the quality.
+    """Map (K, S, 2244) or (K, 2244) histograms, or their roots, to (K, D), not normalised, and (K,) logits of quality.
 
     Autograd and autocast work through it; the quality's gradient stops at the layer that it shares with the features.
     """
-    from torch.nn.functional import linear, relu
+    from torch.nn.functional import linear, normalize, relu
 
+    count, values = len(values), values.reshape(-1, HISTOGRAM_BINS)
     if kind == "pca":
         return (values - weights["mean"]) @ weights["components"].T, None
     hidden = _azimuth_hidden(values, weights) if kind == "azimuth" else _paper_hidden(values, weights)
     vectors = linear(hidden, weights["out.weight"], weights["out.bias"])
+    if "join.weight" in weights:
+        vectors = linear(normalize(vectors, dim=1).view(count, -1), weights["join.weight"])
     if "quality.0.bias" not in weights:
         return vectors, None
-    judged = relu(linear(hidden.detach(), weights["quality.0.weight"], weights["quality.0.bias"]))
+    judged = relu(linear(hidden.detach().view(count, -1), weights["quality.0.weight"], weights["quality.0.bias"]))
     return vectors, linear(judged, weights["quality.1.weight"], weights["quality.1.bias"])[:, 0]
 
 

@@ -63,6 +63,8 @@ class NetworkCard:
     """Whether features are compared at unit length, and those of fewer dimensions are prefixes of those of more."""
     pooled: bool = True
     """Whether features are averaged over the described points within `min_radius`."""
+    insets: tuple[int, ...] = (0,)
+    """The supports whose features are joined: by how many shells each is smaller than `support_radius`."""
 
     @property
     def soft(self) -> bool:
@@ -94,7 +96,9 @@ class NetworkCard:
             # Cards written before these could be chosen.
             learned = dict.fromkeys(("root", "nested", "pooled"), values["kind"] == "azimuth")
             values = learned | values
-            values["dims"], values["voxel_sizes"] = tuple(values["dims"]), tuple(values["voxel_sizes"])
+            for name in ("dims", "voxel_sizes", "insets"):
+                if name in values:
+                    values[name] = tuple(values[name])
             return cls(**values)
         except (KeyError, TypeError, json.JSONDecodeError) as error:
             raise ValueError(f"{source} must be a network card written by cgf train, got: {error}") from error
@@ -117,29 +121,34 @@ class Network:
                     f"{name} must have shape {shape}, got {found}"
                 )
 
-    def embed(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K D"]:
-        """Map histograms, whose rows sum to 1, to vectors of the largest of the card's dimensions.
+    def embed(self, histograms: Float32[np.ndarray, "K *S 2244"]) -> Float32[np.ndarray, "K D"]:
+        """Map histograms, which sum to 1, to vectors of the largest of the card's dimensions.
 
         Nested ones are unit length, and so is every prefix once it is divided by its length.
+
+        Args:
+            histograms: Of the card's supports, in their order; without that axis where there is one.
         """
         return self.embed_and_judge(histograms)[0]
 
     def embed_and_judge(
-        self, histograms: Float32[np.ndarray, "K 2244"]
+        self, histograms: Float32[np.ndarray, "K *S 2244"]
     ) -> tuple[Float32[np.ndarray, "K D"], Float32[np.ndarray, "K"] | None]:
         """The vectors of `embed`, and the quality of each as in `Features.quality`, if the network was taught it."""
-        weights = self.weights
+        weights, count = self.weights, len(histograms)
+        rows = histograms.reshape(-1, HISTOGRAM_BINS)
         if self.card.kind == "pca":
             # Projection on the principal components of training histograms: the paper's linear baseline.
-            return (histograms - weights["mean"]) @ weights["components"].T, None
-        values = np.sqrt(histograms) * np.float32(INPUT_GAIN) if self.card.root else histograms
-        hidden = self._hidden(values)
+            return (rows - weights["mean"]) @ weights["components"].T, None
+        hidden = self._hidden(np.sqrt(rows) * np.float32(INPUT_GAIN) if self.card.root else rows)
         vectors = _linear(hidden, weights, "out")
         if self.card.nested:
             vectors = unit_rows(vectors)
+        if "join.weight" in weights:
+            vectors = unit_rows(vectors.reshape(count, -1) @ weights["join.weight"].T)
         if not self.judges:
             return vectors, None
-        logits = _linear(_linear_relu(hidden, weights, "quality.0"), weights, "quality.1")[:, 0]
+        logits = _linear(_linear_relu(hidden.reshape(count, -1), weights, "quality.0"), weights, "quality.1")[:, 0]
         return vectors, 1 / (1 + np.exp(-logits))
 
     @property
@@ -182,9 +191,12 @@ def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int,
         hidden = len(weights.get("hidden.bias", ()))
         shapes = _layers({f"columns.{i}": (3 * a, b) for i, (a, b) in enumerate(pairwise(widths))})
         shapes |= _layers({"hidden": (2 * widths[-1], hidden)})
+    supports = len(card.insets)
+    if supports > 1:
+        shapes["join.weight"] = (dim, supports * dim)
     if "quality.0.bias" in weights:
         judged = len(weights["quality.0.bias"])
-        shapes |= _layers({"quality.0": (hidden, judged), "quality.1": (judged, 1)})
+        shapes |= _layers({"quality.0": (supports * hidden, judged), "quality.1": (judged, 1)})
     return shapes | _layers({"out": (hidden, dim)})
 
 

@@ -13,9 +13,6 @@ from cgf.geometry.parallel import for_each_block
 
 _BLOCK = 64
 _HALF_SECTORS = 2 * AZIMUTH_BINS
-_COLUMN = RADIAL_BINS * ELEVATION_BINS
-_OUTSIDE = _HALF_SECTORS * _COLUMN
-"""Where candidates are counted that are no neighbours."""
 _GATHERED = 2048
 """Candidates looked at together; they and their bins stay in the processor's first cache."""
 _EDGE_COSINES = np.cos(np.arange(1, ELEVATION_BINS // 2 + 1) * np.pi / ELEVATION_BINS).astype(np.float32)
@@ -46,13 +43,33 @@ class HistogramGrid:
             soft: Share each neighbour between the two nearest azimuth sectors, to the nearest half sector, so that a
                 slightly turned frame changes little; else it counts in the one that it lies in, as in the paper.
         """
+        rows, counts = self.nested_histograms(centers, frames, soft=soft, insets=(0,))
+        return rows[:, 0], counts
+
+    def nested_histograms(
+        self,
+        centers: Float64[np.ndarray, "K 3"],
+        frames: Float64[np.ndarray, "K 3 3"],
+        *,
+        soft: bool,
+        insets: tuple[int, ...],
+    ) -> tuple[Float32[np.ndarray, "K S 2244"], Int64[np.ndarray, "K"]]:
+        """Histograms of several supports around each centre, as `histograms` gives them, for little more than one.
+
+        Args:
+            centers: In cloud units.
+            frames: Rows are x, y, z.
+            soft: As for `histograms`.
+            insets: Of each support, by how many shells it is smaller; see `nested_scales`.
+        """
         shells = RADIAL_BINS - 1
         # Quirk: as in the authors' program, shell 0 is everything below `min_radius` and the other 16 are log-spaced
         # above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
-        edges = self.min_radius * (self.support_radius / self.min_radius) ** (np.arange(shells) / shells)
+        growth = self.support_radius / self.min_radius
+        edges = self.min_radius * growth ** (np.arange(-max(insets), shells) / shells)
         sq_edges = np.square(edges).astype(np.float32)
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
-        rows = np.empty((len(centers), HISTOGRAM_BINS), np.float32)
+        rows = np.empty((len(centers), len(insets), HISTOGRAM_BINS), np.float32)
         counts = np.empty(len(centers), np.int64)
 
         def fill(part: slice) -> None:
@@ -63,12 +80,19 @@ class HistogramGrid:
                 np.float32(self.support_radius),
                 sq_edges,
                 soft,
+                insets,
                 rows[part],
                 counts[part],
             )
 
         for_each_block(fill, len(centers), block=_BLOCK)
         return rows, counts
+
+
+def nested_scales(insets: tuple[int, ...], *, support_radius: float, min_radius: float) -> tuple[float, ...]:
+    """By what the lengths of supports are multiplied that are smaller by `insets` shells; their edges coincide."""
+    growth = support_radius / min_radius
+    return tuple(growth ** (-inset / (RADIAL_BINS - 1)) for inset in insets)
 
 
 def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float, min_radius: float) -> HistogramGrid:
@@ -91,8 +115,9 @@ def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float,
 # candidates at a time. What is no neighbour goes into a bin of its own.
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
 @no_type_check
-def _find_bins(xs, ys, zs, count, center, frame, sq_radius, sq_edges, bins):
+def _find_bins(xs, ys, zs, count, center, frame, sq_radius, sq_edges, outside, bins):
     zero = np.float32(0.0)
+    shells = np.int32(len(sq_edges) + 1)
     for i in range(count):
         dx, dy, dz = xs[i] - center[0], ys[i] - center[1], zs[i] - center[2]
         sq_distance = dx * dx + dy * dy + dz * dz
@@ -100,7 +125,7 @@ def _find_bins(xs, ys, zs, count, center, frame, sq_radius, sq_edges, bins):
         y = dx * frame[1, 0] + dy * frame[1, 1] + dz * frame[1, 2]
         z = dx * frame[2, 0] + dy * frame[2, 1] + dz * frame[2, 2]
         shell = np.int32(0)
-        for k in range(RADIAL_BINS - 1):
+        for k in range(len(sq_edges)):
             shell += np.int32(sq_distance >= sq_edges[k])
         distance, height = np.sqrt(sq_distance), abs(z)
         steps = np.int32(0)
@@ -114,18 +139,23 @@ def _find_bins(xs, ys, zs, count, center, frame, sq_radius, sq_edges, bins):
             steps += np.int32(across * _TURN_COSINES[k] >= along * _TURN_SINES[k])
         half_sector = steps if (x >= zero) == (y >= zero) else np.int32(_HALF_SECTORS // 2 - 1) - steps
         half_sector += np.int32(_HALF_SECTORS // 2) * np.int32(y >= zero)
-        found = shell + np.int32(RADIAL_BINS) * (elevation + np.int32(ELEVATION_BINS) * half_sector)
+        found = shell + shells * (elevation + np.int32(ELEVATION_BINS) * half_sector)
         is_neighbor = sq_distance <= sq_radius and sq_distance > np.float32(1e-15)
-        bins[i] = found if is_neighbor else np.int32(_OUTSIDE)
+        bins[i] = found if is_neighbor else outside
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_histograms(centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, soft, rows, counts):
+def _fill_histograms(
+    centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, soft, insets, rows, counts
+):
     sq_radius = radius * radius
     near = np.empty((3, _GATHERED), np.float32)
     bins = np.empty(_GATHERED, np.int32)
-    hits = np.empty(_OUTSIDE + 1, np.float32)
+    shells = len(sq_edges) + 1
+    # Where candidates are counted that are no neighbours.
+    outside = np.int32(_HALF_SECTORS * shells * ELEVATION_BINS)
+    hits = np.empty(outside + 1, np.float32)
     for k in range(len(centers)):
         px, py, pz = centers[k, 0], centers[k, 1], centers[k, 2]
         first_y, last_y = cell_range(py, radius, cell_size, shape[1])
@@ -154,17 +184,27 @@ def _fill_histograms(centers, frames, xs, ys, zs, starts, shape, cell_size, radi
                     gathered += taken
                     if gathered == _GATHERED:
                         _find_bins(
-                            near[0], near[1], near[2], gathered, centers[k], frames[k], sq_radius, sq_edges, bins
+                            near[0],
+                            near[1],
+                            near[2],
+                            gathered,
+                            centers[k],
+                            frames[k],
+                            sq_radius,
+                            sq_edges,
+                            outside,
+                            bins,
                         )
                         for j in range(gathered):
                             hits[bins[j]] += np.float32(1.0)
                         total += gathered
                         gathered = 0
-        _find_bins(near[0], near[1], near[2], gathered, centers[k], frames[k], sq_radius, sq_edges, bins)
+        _find_bins(near[0], near[1], near[2], gathered, centers[k], frames[k], sq_radius, sq_edges, outside, bins)
         for j in range(gathered):
             hits[bins[j]] += np.float32(1.0)
-        counts[k] = total + gathered - int(hits[_OUTSIDE])
-        _add_half_sectors(hits, np.float32(1.0) / np.float32(max(counts[k], 1)), soft, rows[k])
+        counts[k] = total + gathered - int(hits[outside])
+        for support in range(len(insets)):
+            _add_half_sectors(hits, shells, shells - RADIAL_BINS - insets[support], soft, rows[k, support])
 
 
 # One array a call: the compiler would have to rule out first that three of them overlap, and copies value by value.
@@ -177,15 +217,28 @@ def _copy(values, copies):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _add_half_sectors(hits, scale, soft, row):
+def _add_half_sectors(hits, shells, merged, soft, row):
+    """The histogram of a support whose innermost shell is the first of `hits` and `merged` more."""
     # Triangles of two sectors' width around the middle of each, averaged over half sectors.
-    outer = np.float32(0.25) * scale if soft else np.float32(0.0)
-    inner = np.float32(0.75) * scale if soft else scale
+    outer, inner = (np.float32(0.25), np.float32(0.75)) if soft else (np.float32(0.0), np.float32(1.0))
+    column = shells * ELEVATION_BINS
+    total = np.float32(0.0)
     for sector in range(AZIMUTH_BINS):
-        first, second = 2 * sector * _COLUMN, (2 * sector + 1) * _COLUMN
-        before = (2 * sector - 1) % _HALF_SECTORS * _COLUMN
-        after = (2 * sector + 2) % _HALF_SECTORS * _COLUMN
-        for j in range(_COLUMN):
-            row[sector * _COLUMN + j] = inner * (hits[first + j] + hits[second + j]) + outer * (
-                hits[before + j] + hits[after + j]
-            )
+        first, second = 2 * sector * column, (2 * sector + 1) * column
+        before = (2 * sector - 1) % _HALF_SECTORS * column
+        after = (2 * sector + 2) % _HALF_SECTORS * column
+        for elevation in range(ELEVATION_BINS):
+            start, to = elevation * shells, (sector * ELEVATION_BINS + elevation) * RADIAL_BINS
+            for shell in range(RADIAL_BINS):
+                j = start + merged + shell
+                row[to + shell] = inner * (hits[first + j] + hits[second + j]) + outer * (
+                    hits[before + j] + hits[after + j]
+                )
+            for j in range(start, start + merged):
+                row[to] += inner * (hits[first + j] + hits[second + j]) + outer * (hits[before + j] + hits[after + j])
+            for shell in range(RADIAL_BINS):
+                total += row[to + shell]
+    # Sums of quarters are exact.
+    scale = np.float32(1.0) / max(total, np.float32(1.0))
+    for j in range(len(row)):
+        row[j] *= scale

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, Float64
 from scipy.spatial import cKDTree
 
 from cgf.descriptors.settings import FrameKind
-from cgf.descriptors.spherical_histogram import histogram_grid
+from cgf.descriptors.spherical_histogram import histogram_grid, nested_scales
 from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.transforms import apply
 from cgf.training.augmentation import Augmentation
@@ -21,8 +21,8 @@ from cgf.types import PointCloud
 class Batch:
     """Histograms of corresponding points: row i of the source belongs to row i of the target."""
 
-    source: Float32[np.ndarray, "S 2244"]
-    target: Float32[np.ndarray, "S 2244"]
+    source: Float32[np.ndarray, "N *S 2244"]
+    target: Float32[np.ndarray, "N *S 2244"]
     ignored: Bool[np.ndarray, "B B"]
     """Entries that are no negatives: near the true partner, or from another overlap of the same scene.
 
@@ -47,12 +47,19 @@ class Batches:
         augmentation: Augmentation,
         seed: int,
         share: slice = slice(None),
+        insets: tuple[int, ...] = (0,),
+        joined: bool = False,
     ) -> None:
-        """`share` says which of the `per_batch` overlaps' histograms are computed; others do without."""
+        """Of the supports smaller by `insets`, each overlap is described in one, or, if `joined`, in all.
+
+        `share` says which of the `per_batch` overlaps' histograms are computed; others do without.
+        """
         self.fragments = fragments
         self.support_radius, self.min_radius, self.tau = support_radius, min_radius, tau
         self.lrf_radius, self.frame = lrf_radius, frame
         self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
+        self.insets, self.joined = insets, joined
+        self._scales = nested_scales(insets, support_radius=support_radius, min_radius=min_radius)
         self._own = range(per_batch)[share]
         self._scenes: dict[int, list[Overlap]] = {}
         for overlap in fragments.overlaps:
@@ -72,6 +79,8 @@ class Batches:
             if number in self._own:
                 jitter, shape = self.augmentation.radius_jitter, self.augmentation.draw_shape(rng)
                 factor, turn = rng.uniform(1 - jitter, 1 + jitter), overlap.target_from_source[:3, :3]
+                if len(self.insets) > 1 and not self.joined:
+                    factor *= self._scales[int(rng.integers(len(self._scales)))]
                 sources.append(self._histograms(source, rows, factor, shape @ turn, rng))
                 targets.append(self._histograms(target, partner_rows, factor, shape, rng))
             positions.append(apply(overlap.target_from_source, source.points[rows]))
@@ -113,7 +122,7 @@ class Batches:
         factor: float,
         shape: Float64[np.ndarray, "3 3"],
         rng: np.random.Generator,
-    ) -> Float32[np.ndarray, "K 2244"]:
+    ) -> Float32[np.ndarray, "K *S 2244"]:
         """Histograms of the augmented cloud, which the linear map `shape` has brought into another shape and frame."""
         assert cloud.normals is not None
         points, normals = cloud.points @ shape.T, cloud.normals @ np.linalg.inv(shape)
@@ -125,7 +134,10 @@ class Batches:
         if self.frame != "random":
             estimated, defined = estimate_lrf(points, normals, rows, radius=self.lrf_radius, kind=self.frame)
             frames = np.where(defined[:, None, None], estimated, frames)
-        return grid.histograms(points[rows], frames, soft=self.frame == "random")[0]
+        soft = self.frame == "random"
+        if self.joined:
+            return grid.nested_histograms(points[rows], frames, soft=soft, insets=self.insets)[0]
+        return grid.histograms(points[rows], frames, soft=soft)[0]
 
 
 def _reversed(overlap: Overlap) -> Overlap:

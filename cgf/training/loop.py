@@ -16,6 +16,7 @@ from cgf.training.distributed import Processes
 from cgf.types import Progress
 
 BatchT = TypeVar("BatchT")
+NetworkT = TypeVar("NetworkT", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,7 @@ class LoopSettings:
 
 
 def train(
-    network: nn.Module,
+    network: NetworkT,
     *,
     draw: Callable[[int], BatchT],
     loss_of: Callable[[Callable[[Tensor], Tensor], BatchT], Tensor],
@@ -45,7 +46,7 @@ def train(
     folder: Path,
     processes: Processes,
     progress: Progress,
-) -> nn.Module:
+) -> NetworkT:
     """Optimise `network` and return the module to export; `loss_of` is given the network and a batch.
 
     Batch `step` is `draw(step)` and depends on nothing else, so a run killed at any moment continues from its last
@@ -95,9 +96,10 @@ def train(
             if due and processes.is_first:
                 log.flush()
                 _save(folder / "checkpoint.pt", parts, step + 1, settings)
-    module = averaged.module if settings.average > 0 else network
-    assert isinstance(module, nn.Module)
-    return module
+    if settings.average <= 0:
+        return network
+    assert isinstance(averaged.module, type(network))
+    return averaged.module
 
 
 def _rate(step: int, settings: LoopSettings) -> float:

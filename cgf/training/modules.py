@@ -23,10 +23,13 @@ class FeatureNetwork(nn.Module):
         self.kind, self.root = kind, root
         self.out = nn.Linear(hidden, dim)
         if judges:
-            self.quality = nn.ModuleList([nn.Linear(hidden, _JUDGE_WIDTH), nn.Linear(_JUDGE_WIDTH, 1)])
+            self.quality = _judge(hidden)
 
     def forward(self, histograms: Tensor) -> Tensor:
-        """Map (K, 2244) histograms to (K, dim), and where quality is judged to (K, dim + 1): the last is its logit."""
+        """Map (K, 2244) histograms to (K, dim), and where quality is judged to (K, dim + 1): the last is its logit.
+
+        A joined network takes (K, S, 2244).
+        """
         values = histograms.sqrt() * INPUT_GAIN if self.root else histograms
         vectors, logits = forward(self.kind, values, dict(self.named_parameters()))
         return vectors if logits is None else torch.cat([vectors, logits[:, None]], dim=1)
@@ -43,6 +46,23 @@ class AzimuthNetwork(FeatureNetwork):
         widths = [COLUMN_BINS, width, width, width]
         self.columns = nn.ModuleList(nn.Linear(3 * a, b) for a, b in pairwise(widths))
         self.hidden = nn.Linear(2 * width, 2 * width)
+
+
+def joined(network: FeatureNetwork, supports: int) -> FeatureNetwork:
+    """Make `network` describe several supports: its features of each, joined by a linear layer, the only one to learn.
+
+    At first that is their mean. What else there was stays as it is, but for the quality, which starts anew.
+    """
+    dim, hidden = network.out.out_features, network.out.in_features
+    network.requires_grad_(requires_grad=False)
+    network.join = nn.Linear(supports * dim, dim, bias=False)
+    network.join.weight.data = torch.eye(dim).repeat(1, supports) / supports
+    network.quality = _judge(supports * hidden)
+    return network
+
+
+def _judge(hidden: int) -> nn.ModuleList:
+    return nn.ModuleList([nn.Linear(hidden, _JUDGE_WIDTH), nn.Linear(_JUDGE_WIDTH, 1)])
 
 
 class PaperNetwork(FeatureNetwork):

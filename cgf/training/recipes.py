@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -11,14 +12,14 @@ from torch import Tensor, nn
 
 from cgf.checks import InputError
 from cgf.descriptors.network import Network, NetworkCard, write_network
-from cgf.descriptors.settings import MODEL_DEFAULTS, ModelDefaults
+from cgf.descriptors.settings import ModelDefaults
 from cgf.training.augmentation import Augmentation
 from cgf.training.batches import Batch, Batches
 from cgf.training.distributed import Processes, started
 from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
-from cgf.training.loop import BatchT, LoopSettings, train
+from cgf.training.loop import LoopSettings, train
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss
-from cgf.training.modules import AzimuthNetwork, PaperNetwork
+from cgf.training.modules import AzimuthNetwork, FeatureNetwork, PaperNetwork, joined
 from cgf.training.settings import TrainSettings
 from cgf.training.triplets import TripletBatch, Triplets
 from cgf.types import Progress
@@ -43,7 +44,7 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     """
     torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
-    defaults = MODEL_DEFAULTS[settings.model]
+    defaults = settings.lengths
     with started(settings.device) as processes:
         fragments = _fragments(settings, defaults, progress)
         trained = _TRAIN[settings.recipe](settings, defaults, fragments, processes, progress)
@@ -61,6 +62,7 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
         root=settings.takes_roots and not pca,
         nested=settings.contrastive,
         pooled=settings.contrastive,
+        insets=settings.insets,
         command=command,
         data=", ".join(path.name for path in ([settings.meshes] if settings.meshes else settings.scenes)),
         seed=settings.seed,
@@ -72,7 +74,13 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
             "overlaps": len(fragments.overlaps),
             "torch": torch.__version__,
         },
-        config=settings.config() | {"steps": trained.steps},
+        # What was left to a default that may change.
+        config=settings.config()
+        | {
+            "steps": trained.steps,
+            "support_radius": defaults.support_radius,
+            "min_radius": defaults.min_radius,
+        },
     )
     network = Network(card, trained.weights)
     if processes.is_first:
@@ -100,7 +108,7 @@ def _fingerprint(settings: TrainSettings, fragments: Fragments) -> str:
     """Changes with everything that changes the course of training by more than rounding."""
     apart = {"output", "checkpoint_every", "device"}
     values = {name: str(value) for name, value in asdict(settings).items() if name not in apart}
-    values |= {name: str(value) for name, value in asdict(MODEL_DEFAULTS[settings.model]).items()}
+    values |= {name: str(value) for name, value in asdict(settings.lengths).items()}
     digest = hashlib.sha256(json.dumps(values, sort_keys=True).encode())
     for cloud in fragments.clouds:
         digest.update(cloud.points.tobytes())
@@ -111,7 +119,8 @@ def _contrastive(
     settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, processes: Processes, progress: Progress
 ) -> _Trained:
     azimuth = settings.chosen_network == "azimuth"
-    batches = Batches(
+    batches = partial(
+        Batches,
         fragments,
         support_radius=defaults.support_radius,
         min_radius=defaults.min_radius,
@@ -126,6 +135,7 @@ def _contrastive(
         ),
         seed=settings.seed,
         share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
+        insets=settings.insets,
     )
 
     def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:
@@ -138,7 +148,15 @@ def _contrastive(
 
     loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
     loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
-    return _optimised(settings, batches.draw, loss_of, loop, processes, progress)
+    folder = settings.output.with_suffix("")
+    optimise = partial(train, loss_of=loss_of, processes=processes, progress=progress)
+    network = optimise(_network(settings), draw=batches().draw, settings=loop, folder=folder)
+    if len(settings.insets) > 1:
+        # Only now: when supports were joined from the start, the network learned the scenes by heart.
+        joining = replace(loop, steps=settings.join_steps)
+        network = joined(network, len(settings.insets))
+        network = optimise(network, draw=batches(joined=True).draw, settings=joining, folder=folder / "join")
+    return _Trained(_weights(network), loop.steps)
 
 
 def _judged_dim(dims: tuple[int, ...]) -> int:
@@ -158,28 +176,23 @@ def _paper(
         return triplet_loss(anchors, positives, negatives)
 
     loop = _loop(settings, fragments, steps=3 * triplets.batches_per_epoch, learning_rate=1e-4)
-    return _optimised(settings, triplets.draw, loss_of, loop, processes, progress)
-
-
-def _optimised(
-    settings: TrainSettings,
-    draw: Callable[[int], BatchT],
-    loss_of: Callable[[Callable[[Tensor], Tensor], BatchT], Tensor],
-    loop: LoopSettings,
-    processes: Processes,
-    progress: Progress,
-) -> _Trained:
-    """Train the network that `settings` ask for."""
-    network: nn.Module
-    if settings.chosen_network == "azimuth":
-        network = AzimuthNetwork(settings.dims[-1], width=settings.width, judges=settings.contrastive)
-    else:
-        network = PaperNetwork(settings.dims[-1], root=settings.takes_roots, judges=settings.contrastive)
-    folder = settings.output.with_suffix("")
     module = train(
-        network, draw=draw, loss_of=loss_of, settings=loop, folder=folder, processes=processes, progress=progress
+        _network(settings),
+        draw=triplets.draw,
+        loss_of=loss_of,
+        settings=loop,
+        folder=settings.output.with_suffix(""),
+        processes=processes,
+        progress=progress,
     )
     return _Trained(_weights(module), loop.steps)
+
+
+def _network(settings: TrainSettings) -> FeatureNetwork:
+    """The network that `settings` ask for, not trained."""
+    if settings.chosen_network == "azimuth":
+        return AzimuthNetwork(settings.dims[-1], width=settings.width, judges=settings.contrastive)
+    return PaperNetwork(settings.dims[-1], root=settings.takes_roots, judges=settings.contrastive)
 
 
 def _pca(

@@ -1,10 +1,10 @@
 """What `cgf train` takes; apart from the recipes, so that its help needs no torch."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from cgf.descriptors.settings import FrameKind, ModelName
+from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults, ModelName
 
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 
@@ -37,6 +37,14 @@ class TrainSettings:
     """Channels of the azimuth network; time and size grow with its square."""
     steps: int | None = None
     """Minibatches; none stands for 6,000 (contrastive) or three epochs (paper)."""
+    support_radius: float | None = None
+    """Of the largest support, in diameters or metres; None stands for the model's own."""
+    min_radius: float | None = None
+    """Of its innermost shell; None stands for the model's own."""
+    insets: tuple[int, ...] = (0,)
+    """Supports whose features are joined: by how many shells each is smaller than the largest."""
+    join_steps: int = 1500
+    """Minibatches, after the others, in which joining several supports is learned."""
     batch: int = 512
     """Correspondences (contrastive) or triplets (paper) per minibatch."""
     overlaps_per_batch: int = 8
@@ -87,10 +95,30 @@ class TrainSettings:
             )
         if not self.dims or list(self.dims) != sorted(set(self.dims)) or self.dims[0] < 1:
             raise ValueError(f"--dims must be ascending and positive, got {self.dims}")
-
+        if not 0 < self.lengths.min_radius < self.lengths.support_radius:
+            raise ValueError(
+                "--min-radius must be above 0 and below --support-radius, got "
+                f"{self.lengths.min_radius:g} and {self.lengths.support_radius:g}"
+            )
+        if list(self.insets) != sorted(set(self.insets)) or self.insets[0] != 0:
+            raise ValueError(f"--insets must be 0 and ascending numbers of shells, got {self.insets}")
+        if len(self.insets) > 1 and (self.chosen_network != "azimuth" or not self.contrastive):
+            raise ValueError(
+                f"--insets must be 0 but for the azimuth network and contrastive recipe, got {self.insets}"
+            )
+        if self.join_steps < 1:
+            raise ValueError(f"--join-steps must be 1 or more, got {self.join_steps}")
         for name in ("stretch", "mirror", "holes", "cut"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"--{name} must lie between 0 and 1, got {getattr(self, name):g}")
+
+    @property
+    def lengths(self) -> ModelDefaults:
+        """The model's, with the radii that were chosen."""
+        usual = MODEL_DEFAULTS[self.model]
+        support_radius = usual.support_radius if self.support_radius is None else self.support_radius
+        min_radius = usual.min_radius if self.min_radius is None else self.min_radius
+        return replace(usual, support_radius=support_radius, min_radius=min_radius)
 
     @property
     def contrastive(self) -> bool:

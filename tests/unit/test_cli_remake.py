@@ -89,7 +89,10 @@ def test_other_data_needs_no_folder_of_the_card(tmp_path):
 def test_every_setting_can_be_read_from_a_card(tmp_path):
     (tmp_path / "meshes").mkdir()
     content = json.loads(shipped_weights("cgf-object").with_suffix(".json").read_text())
-    settings = TrainSettings(output=tmp_path / "a.safetensors", meshes=tmp_path / "meshes", steps=3, temperature=0.1)
+    settings = TrainSettings(
+        output=tmp_path / "a.safetensors", meshes=tmp_path / "meshes", steps=3, temperature=0.1, support_radius=0.3,
+        min_radius=0.02, insets=(0, 2),
+    )  # fmt: skip
     (tmp_path / "a.json").write_text(json.dumps(content | {"config": settings.config()}))
     found = options("--config", str(tmp_path / "a.json"), "--data-root", str(tmp_path), "-o", str(settings.output))
     assert TrainSettings(**_of_card(found, _given(found)) | _given(found)) == settings

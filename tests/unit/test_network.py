@@ -28,15 +28,20 @@ AZIMUTH = NetworkCard(
 )
 PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", root=False, nested=False, pooled=False)
 
+CARDS = {"azimuth": AZIMUTH, "paper": PAPER, "joined": replace(AZIMUTH, insets=(0, 3))}
+
 
 def torch_network(kind):
     torch = pytest.importorskip("torch")
-    from cgf.training.modules import AzimuthNetwork, PaperNetwork
+    from cgf.training.modules import AzimuthNetwork, PaperNetwork, joined
 
     torch.manual_seed(1)
-    module = AzimuthNetwork(16, width=24) if kind == "azimuth" else PaperNetwork(16)
+    module = PaperNetwork(16) if kind == "paper" else AzimuthNetwork(16, width=24)
+    if kind == "joined":
+        module = joined(module, 2)
+        torch.nn.init.normal_(module.join.weight)
     weights = {name: value.numpy().copy() for name, value in module.state_dict().items()}
-    return module, Network(AZIMUTH if kind == "azimuth" else PAPER, weights)
+    return module, Network(CARDS[kind], weights)
 
 
 def histograms(count=20):
@@ -44,18 +49,19 @@ def histograms(count=20):
     return rows / rows.sum(axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("kind", ["azimuth", "paper"])
+@pytest.mark.parametrize("kind", ["azimuth", "paper", "joined"])
 def test_inference_equals_torch(kind, monkeypatch):
     import torch
 
     monkeypatch.setenv("CGF_PRECISION", "float32")
     module, network = torch_network(kind)
-    expected = module(torch.from_numpy(histograms())).detach().numpy()
-    vectors, quality = network.embed_and_judge(histograms())
-    azimuth = kind == "azimuth"
-    np.testing.assert_allclose(vectors, unit_rows(expected[:, :16]) if azimuth else expected, rtol=2e-3, atol=2e-5)
-    assert (quality is not None) == azimuth
-    if azimuth:
+    rows = histograms().reshape(10, 2, -1) if kind == "joined" else histograms()
+    expected = module(torch.from_numpy(rows)).detach().numpy()
+    vectors, quality = network.embed_and_judge(rows)
+    nested = kind != "paper"
+    np.testing.assert_allclose(vectors, unit_rows(expected[:, :16]) if nested else expected, rtol=2e-3, atol=2e-5)
+    assert (quality is not None) == nested
+    if nested:
         np.testing.assert_allclose(quality, 1 / (1 + np.exp(-expected[:, 16])), atol=1e-5)
 
 
@@ -115,7 +121,7 @@ def test_shipped_cards_say_how_to_remake_their_weights(name):
 def test_shipped_features_come_in_nested_dimensions(model):
     network = read_network(shipped_weights(f"cgf-{model}"))
     assert {8, 16, 24, 32} <= set(network.card.dims)
-    features = network.embed(histograms())
+    features = network.embed(histograms(40).reshape(-1, len(network.card.insets), HISTOGRAM_BINS))
     np.testing.assert_allclose(np.linalg.norm(features, axis=1), 1, rtol=1e-5)
     # Every prefix carries something: none is a multiple of one direction.
     assert all(np.linalg.matrix_rank(features[:, :dim]) == dim for dim in (8, 16))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cgf.descriptors.spherical_histogram import HISTOGRAM_BINS, histogram_grid
+from cgf.descriptors.spherical_histogram import HISTOGRAM_BINS, histogram_grid, nested_scales
 
 SUPPORT, LEAST = 0.9, 0.08
 
@@ -35,6 +35,24 @@ def test_equals_the_formula():
     for row, count, center, frame in zip(rows, counts, centers, frames, strict=True):
         # Single precision may put a neighbour on the other side of an edge.
         assert np.abs(row - histogram_by_formula(points, center, frame)).sum() * count / 2 <= 1.01
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_nested_supports_are_those_described_one_by_one(soft):
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-1, 1, size=(3000, 3))
+    frames = np.stack([random_frame(rng) for _ in range(40)])
+    insets = (0, 3, 7)
+    grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST)
+    rows, counts = grid.nested_histograms(points[:40], frames, soft=soft, insets=insets)
+    np.testing.assert_allclose(rows.sum(axis=2), 1, atol=1e-6)
+    for place, scale in enumerate(nested_scales(insets, support_radius=SUPPORT, min_radius=LEAST)):
+        alone = histogram_grid(points, support_radius=SUPPORT * scale, min_radius=LEAST * scale)
+        expected, neighbors = alone.histograms(points[:40], frames, soft=soft)
+        # Edges are rounded, so a neighbour may fall on the other side of one.
+        assert (np.abs(rows[:, place] - expected).sum(axis=1) * neighbors / 2 <= 1.01).all()
+        if place == 0:
+            np.testing.assert_array_equal(counts, neighbors)
 
 
 @pytest.mark.parametrize("degrees", range(15, 360, 30))

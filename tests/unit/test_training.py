@@ -128,8 +128,10 @@ def test_quality_is_taught_which_features_find_their_partner():
     assert targets.grad is None
 
 
-@pytest.mark.parametrize("frame", ["random", "normal", "paper"])
-def test_batches_depend_on_their_number_alone(fragments, frame):
+@pytest.mark.parametrize(
+    ("frame", "joined"), [("random", False), ("random", True), ("normal", False), ("paper", False)]
+)
+def test_batches_depend_on_their_number_alone(fragments, frame, joined):
     def make():
         return Batches(
             fragments,
@@ -142,6 +144,8 @@ def test_batches_depend_on_their_number_alone(fragments, frame):
             per_batch=4,
             augmentation=Augmentation(stretch=0.2, mirror=0.5, holes=0.5, cut=0.5),
             seed=3,
+            insets=(0, 2),
+            joined=joined,
         )
 
     first, second = make(), make()
@@ -149,7 +153,7 @@ def test_batches_depend_on_their_number_alone(fragments, frame):
     batch, again = first.draw(5), second.draw(5)
     np.testing.assert_array_equal(batch.source, again.source)
     np.testing.assert_array_equal(batch.target, again.target)
-    assert batch.source.shape == (64, 2244)
+    assert batch.source.shape == ((64, 2, 2244) if joined else (64, 2244))
     assert not np.diag(batch.ignored).any()
     # Four overlaps of the one scene: what is not within a block is ignored.
     assert batch.ignored[:16, 16:].all()
@@ -225,16 +229,23 @@ class Killed(BaseException):
     """As sudden as a signal."""
 
 
-@pytest.mark.parametrize("recipe", ["contrastive", "paper"])
-def test_a_killed_run_resumes_to_the_bit(meshes, fragments, tmp_path, monkeypatch, recipe):
+@pytest.mark.parametrize(
+    ("changes", "last"),
+    [
+        ({"recipe": "contrastive"}, "step 5 of 6"),
+        ({"recipe": "paper"}, "step 5 of 6"),
+        ({"insets": (0, 3), "join_steps": 7}, "step 5 of 7"),
+    ],
+)
+def test_a_killed_run_resumes_to_the_bit(meshes, fragments, tmp_path, monkeypatch, changes, last):
     monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: fragments)
-    whole = run(settings_for(meshes, tmp_path / "whole.safetensors", recipe=recipe), progress=silent)
+    whole = run(settings_for(meshes, tmp_path / "whole.safetensors", **changes), progress=silent)
 
     def kill(share, text):
-        if text.startswith("step 5 "):
+        if text.startswith(last):
             raise Killed
 
-    broken = settings_for(meshes, tmp_path / "broken.safetensors", recipe=recipe)
+    broken = settings_for(meshes, tmp_path / "broken.safetensors", **changes)
     with pytest.raises(Killed):
         run(broken, progress=kill)
     assert not broken.output.exists()
@@ -245,6 +256,21 @@ def test_a_killed_run_resumes_to_the_bit(meshes, fragments, tmp_path, monkeypatc
     logs = [(tmp_path / name / "log.jsonl").read_text() for name in ("whole", "broken")]
     assert logs[0] == logs[1]
     assert [json.loads(line)["step"] for line in logs[0].splitlines()] == list(range(6))
+
+
+def test_joining_supports_changes_nothing_but_how_they_are_joined(meshes, fragments, tmp_path, monkeypatch):
+    monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: fragments)
+    outputs = {steps: tmp_path / f"{steps}.safetensors" for steps in (1, 6)}
+    weights = [
+        run(settings_for(meshes, output, insets=(0, 3), join_steps=steps), progress=silent).weights
+        for steps, output in outputs.items()
+    ]
+    changed = {name for name in weights[0] if (weights[0][name] != weights[1][name]).any()}
+    assert "join.weight" in changed
+    assert all(name.startswith(("join.", "quality.")) for name in changed)
+    card = read_network(outputs[6]).card
+    assert card.insets == (0, 3)
+    assert card.config["insets"] == [0, 3]
 
 
 @pytest.mark.parametrize(
