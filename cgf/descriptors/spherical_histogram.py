@@ -7,19 +7,17 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from numba import njit
 
+from cgf.descriptors.histogram_bins import EDGE_PLACES, HALF_SECTORS, MAX_EDGES, find_bins
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
+from cgf.geometry.lanes import LANES, gather_offsets
 from cgf.geometry.parallel import for_each_block
 
 _BLOCK = 64
-_HALF_SECTORS = 2 * AZIMUTH_BINS
-_GATHERED = 2048
-"""Candidates looked at together; they and their bins stay in the processor's first cache."""
-_EDGE_COSINES = np.cos(np.arange(1, ELEVATION_BINS // 2 + 1) * np.pi / ELEVATION_BINS).astype(np.float32)
-"""Of the elevation edges above the tangent plane; those below are their mirror images."""
-_TURNS = np.arange(1, _HALF_SECTORS // 4) * np.pi / (_HALF_SECTORS // 2)
-_TURN_COSINES, _TURN_SINES = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
-"""Of the edges between half sectors in the first quadrant; the others are mirror images."""
+_GATHERED = 1024
+"""Neighbours looked at together; they and their bins stay in the processor's first cache."""
+_RUN = 256
+"""Points gathered in one go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +66,7 @@ class HistogramGrid:
         growth = self.support_radius / self.min_radius
         edges = self.min_radius * growth ** (np.arange(-max(insets), shells) / shells)
         sq_edges = np.square(edges).astype(np.float32)
+        assert len(sq_edges) <= MAX_EDGES
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
         rows = np.empty((len(centers), len(insets), HISTOGRAM_BINS), np.float32)
         counts = np.empty(len(centers), np.int64)
@@ -111,56 +110,26 @@ def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float,
     return HistogramGrid(build_grid(points, cell_size=support_radius / 4), support_radius, min_radius)
 
 
-# No transcendental functions, tables or branches: comparisons with the edges, which the compiler does for several
-# candidates at a time. What is no neighbour goes into a bin of its own.
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "arcp"})
-@no_type_check
-def _find_bins(xs, ys, zs, count, center, frame, sq_radius, sq_edges, outside, bins):
-    zero = np.float32(0.0)
-    shells = np.int32(len(sq_edges) + 1)
-    for i in range(count):
-        dx, dy, dz = xs[i] - center[0], ys[i] - center[1], zs[i] - center[2]
-        sq_distance = dx * dx + dy * dy + dz * dz
-        x = dx * frame[0, 0] + dy * frame[0, 1] + dz * frame[0, 2]
-        y = dx * frame[1, 0] + dy * frame[1, 1] + dz * frame[1, 2]
-        z = dx * frame[2, 0] + dy * frame[2, 1] + dz * frame[2, 2]
-        shell = np.int32(0)
-        for k in range(len(sq_edges)):
-            shell += np.int32(sq_distance >= sq_edges[k])
-        distance, height = np.sqrt(sq_distance), abs(z)
-        steps = np.int32(0)
-        for k in range(ELEVATION_BINS // 2):
-            steps += np.int32(height > _EDGE_COSINES[k] * distance)
-        elevation = np.int32(ELEVATION_BINS // 2) + (-steps if z >= zero else steps)
-        # The first half sector begins at -x; they turn from there towards -y.
-        along, across = abs(x), abs(y)
-        steps = np.int32(0)
-        for k in range(_HALF_SECTORS // 4 - 1):
-            steps += np.int32(across * _TURN_COSINES[k] >= along * _TURN_SINES[k])
-        half_sector = steps if (x >= zero) == (y >= zero) else np.int32(_HALF_SECTORS // 2 - 1) - steps
-        half_sector += np.int32(_HALF_SECTORS // 2) * np.int32(y >= zero)
-        found = shell + shells * (elevation + np.int32(ELEVATION_BINS) * half_sector)
-        is_neighbor = sq_distance <= sq_radius and sq_distance > np.float32(1e-15)
-        bins[i] = found if is_neighbor else outside
-
-
 @njit(cache=True, nogil=True)
 @no_type_check
 def _fill_histograms(
     centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, soft, insets, rows, counts
 ):
     sq_radius = radius * radius
-    near = np.empty((3, _GATHERED), np.float32)
-    bins = np.empty(_GATHERED, np.int32)
-    shells = len(sq_edges) + 1
-    # Where candidates are counted that are no neighbours.
-    outside = np.int32(_HALF_SECTORS * shells * ELEVATION_BINS)
-    hits = np.empty(outside + 1, np.float32)
+    edges = len(sq_edges)
+    edge_places = np.full(EDGE_PLACES, np.inf, np.float32)
+    edge_places[:edges] = sq_edges
+    size = _GATHERED + LANES
+    dx, dy, dz = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    bins = np.empty(size, np.uint32)
+    shells = edges + 1
+    hits = np.empty(HALF_SECTORS * ELEVATION_BINS * shells + 1, np.int32)
+    quarters = np.empty((AZIMUTH_BINS, ELEVATION_BINS * shells), np.int32)
     for k in range(len(centers)):
         px, py, pz = centers[k, 0], centers[k, 1], centers[k, 2]
         first_y, last_y = cell_range(py, radius, cell_size, shape[1])
         first_z, last_z = cell_range(pz, radius, cell_size, shape[2])
-        hits[:] = 0.0
+        hits[:] = 0
         gathered = total = 0
         for cz in range(first_z, last_z + 1):
             gap_z = axis_gap(pz, cz, cell_size)
@@ -176,69 +145,59 @@ def _fill_histograms(
                 cell = (cz * shape[1] + cy) * shape[0]
                 i, end = starts[cell + first_x], starts[cell + last_x + 1]
                 while i < end:
-                    taken = min(end - i, _GATHERED - gathered)
-                    _copy(xs[i : i + taken], near[0, gathered:])
-                    _copy(ys[i : i + taken], near[1, gathered:])
-                    _copy(zs[i : i + taken], near[2, gathered:])
-                    i += taken
-                    gathered += taken
-                    if gathered == _GATHERED:
-                        _find_bins(
-                            near[0],
-                            near[1],
-                            near[2],
-                            gathered,
-                            centers[k],
-                            frames[k],
-                            sq_radius,
-                            sq_edges,
-                            outside,
-                            bins,
-                        )
-                        for j in range(gathered):
-                            hits[bins[j]] += np.float32(1.0)
+                    stop = min(end, i + _RUN)
+                    gathered = gather_offsets(xs, ys, zs, i, stop, centers[k], sq_radius, dx, dy, dz, gathered)
+                    i = stop
+                    if gathered > _GATHERED - _RUN:
+                        find_bins(dx, dy, dz, gathered, frames[k], sq_radius, edge_places, edges, bins)
+                        _count_hits(bins[:gathered], hits)
                         total += gathered
                         gathered = 0
-        _find_bins(near[0], near[1], near[2], gathered, centers[k], frames[k], sq_radius, sq_edges, outside, bins)
-        for j in range(gathered):
-            hits[bins[j]] += np.float32(1.0)
-        counts[k] = total + gathered - int(hits[outside])
+        find_bins(dx, dy, dz, gathered, frames[k], sq_radius, edge_places, edges, bins)
+        _count_hits(bins[:gathered], hits)
+        counts[k] = total + gathered - hits[-1]
+        _add_half_sectors(hits[:-1].reshape(HALF_SECTORS, -1), soft, quarters)
         for support in range(len(insets)):
-            _add_half_sectors(hits, shells, shells - RADIAL_BINS - insets[support], soft, rows[k, support])
-
-
-# One array a call: the compiler would have to rule out first that three of them overlap, and copies value by value.
-@njit(cache=True, nogil=True)
-@no_type_check
-def _copy(values, copies):
-    for i in range(len(values)):
-        copies[i] = values[i]
+            row = rows[k, support].reshape(-1, RADIAL_BINS)
+            _cut_support(quarters.reshape(-1, shells), counts[k], insets[support], row)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _add_half_sectors(hits, shells, merged, soft, row):
-    """The histogram of a support whose innermost shell is the first of `hits` and `merged` more."""
+def _count_hits(bins, hits):
+    for i in range(len(bins)):
+        hits[bins[i]] += 1
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _add_half_sectors(hits, soft, quarters):
+    """Four times what each sector counts."""
     # Triangles of two sectors' width around the middle of each, averaged over half sectors.
-    outer, inner = (np.float32(0.25), np.float32(0.75)) if soft else (np.float32(0.0), np.float32(1.0))
-    column = shells * ELEVATION_BINS
-    total = np.float32(0.0)
+    inner, outer = (np.int32(3), np.int32(1)) if soft else (np.int32(4), np.int32(0))
     for sector in range(AZIMUTH_BINS):
-        first, second = 2 * sector * column, (2 * sector + 1) * column
-        before = (2 * sector - 1) % _HALF_SECTORS * column
-        after = (2 * sector + 2) % _HALF_SECTORS * column
-        for elevation in range(ELEVATION_BINS):
-            start, to = elevation * shells, (sector * ELEVATION_BINS + elevation) * RADIAL_BINS
-            for shell in range(RADIAL_BINS):
-                j = start + merged + shell
-                row[to + shell] = inner * (hits[first + j] + hits[second + j]) + outer * (
-                    hits[before + j] + hits[after + j]
-                )
-            for j in range(start, start + merged):
-                row[to] += inner * (hits[first + j] + hits[second + j]) + outer * (hits[before + j] + hits[after + j])
-            for shell in range(RADIAL_BINS):
-                total += row[to + shell]
-    # Sums of quarters are exact.
-    scale = np.float32(1.0) / max(total, np.float32(1.0))
-    for j in range(len(row)):
-        row[j] *= scale
+        i = 2 * sector
+        before, first, second, after = hits[i - 1], hits[i], hits[i + 1], hits[(i + 2) % HALF_SECTORS]
+        column = quarters[sector]
+        for j in range(len(column)):
+            column[j] = inner * (first[j] + second[j]) + outer * (before[j] + after[j])
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _cut_support(quarters, count, inset, row):
+    """The histogram of the support without the `inset` outer shells, whose innermost has all that are left over."""
+    shells = quarters.shape[1]
+    innermost = shells - inset - RADIAL_BINS
+    total = 4 * count
+    for i in range(len(quarters)):
+        for shell in range(shells - inset, shells):
+            total -= quarters[i, shell]
+    scale = np.float32(1.0) / np.float32(max(total, 1))
+    for i in range(len(quarters)):
+        merged = np.int32(0)
+        for shell in range(innermost + 1):
+            merged += quarters[i, shell]
+        row[i, 0] = scale * np.float32(merged)
+        for shell in range(1, RADIAL_BINS):
+            row[i, shell] = scale * np.float32(quarters[i, innermost + shell])

@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from numba import njit
 
+from cgf.geometry.lanes import LANES
+
 MAX_CELLS = 1 << 22
 """Cells of a grid at most (16 MiB of offsets); wider clouds get larger cells."""
 
@@ -15,8 +17,8 @@ MAX_CELLS = 1 << 22
 class Grid:
     """Points sorted by cell, x varying fastest; made by `build_grid`."""
 
-    xyz: Float32[np.ndarray, "3 N"]
-    """Coordinates minus `offset`, in cell order."""
+    xyz: Float32[np.ndarray, "3 M"]
+    """Coordinates minus `offset`, in cell order; then `LANES` columns that are read with the last, but mean nothing."""
     order: Int64[np.ndarray, "N"]
     """Row of the cloud that each column of `xyz` comes from."""
     starts: Int64[np.ndarray, "C"]
@@ -55,7 +57,8 @@ def build_grid(points: Float64[np.ndarray, "N 3"], *, cell_size: float) -> Grid:
     order = np.argsort(keys, kind="stable")
     starts = np.zeros(int(np.prod(shape)) + 1, np.int64)
     np.cumsum(np.bincount(keys, minlength=len(starts) - 1), out=starts[1:])
-    xyz = np.ascontiguousarray(local[order].T)
+    xyz = np.zeros((3, len(points) + LANES), np.float32)
+    xyz[:, : len(points)] = local[order].T
     return Grid(xyz, order, starts, (int(shape[0]), int(shape[1]), int(shape[2])), float(cell_size), low)
 
 

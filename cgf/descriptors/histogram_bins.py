@@ -1,0 +1,109 @@
+"""The bin of a spherical histogram that each of many neighbours falls into.
+
+No transcendental functions, tables in memory or branches: comparisons with the edges, for 16 neighbours at a time.
+"""
+
+from collections.abc import Sequence
+from typing import Any, no_type_check
+
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS
+from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
+
+MAX_EDGES = 31
+"""Edges between shells at most: a look-up within registers has 32 places."""
+EDGE_PLACES = MAX_EDGES + 2 * LANES
+"""Length of an array of edges for `find_bins`."""
+HALF_SECTORS = 2 * AZIMUTH_BINS
+"""Azimuth is told to half a sector. The first begins at -x; they turn from there towards -y."""
+
+_EDGE_COSINES = np.cos(np.arange(1, ELEVATION_BINS // 2 + 1) * np.pi / ELEVATION_BINS).astype(np.float32)
+"""Of the elevation edges above the tangent plane; those below are their mirror images."""
+_TURNS = np.arange(1, HALF_SECTORS // 4) * np.pi / (HALF_SECTORS // 2)
+_TURN_COSINES, _TURN_SINES = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).astype(np.float32)
+"""Of the edges between half sectors in the first quadrant; the others are mirror images."""
+_SQ_LEAST = np.float32(1e-15)
+"""Nothing as near as this is a neighbour: it is the centre."""
+_UNROLLED = 4
+
+
+@intrinsic
+@no_type_check
+def find_bins(_context, dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins):
+    """Write the bin of each of `count` offsets, turned into `frame`; of what is no neighbour, one after all others.
+
+    The shell varies fastest, then the elevation, then the half sector. `sq_edges` holds `edges` squared edges between
+    shells, in ascending order, and is infinite from there on; a neighbour on one is in the outer shell.
+    """
+
+    def generate(context, builder, signature, arguments):
+        write = Writer(context, builder)
+        *points, count, frame, sq_radius, sq_edges, edges, bins = write.unpack(signature, arguments)
+        shells = builder.add(builder.trunc(edges, INT32), INT32(1))
+        column = builder.mul(shells, INT32(ELEVATION_BINS))
+
+        def times(size, number):
+            return write.repeat(builder.mul(size, INT32(number)))
+
+        with write.steps(INT64(0), count, LANES) as (i, _):
+            offsets = [write.load_each(base, i) for base in points]
+            sq_distances = write.dot(offsets, offsets)
+            distances = write.call(f"llvm.sqrt.v{LANES}f32", sq_distances)
+            axes = [[write.load(frame, INT64(3 * row + d)) for d in range(3)] for row in range(3)]
+            x, y, z = (write.dot(offsets, axis) for axis in axes)
+            zero = write.repeat(0.0)
+
+            found = _find_shells(write, sq_distances, sq_edges, edges)
+
+            height = write.absolute(z)
+            steps = _count(write, [height > write.repeat(cosine) * distances for cosine in _EDGE_COSINES], shells)
+            middle = times(shells, ELEVATION_BINS // 2)
+            found += (z >= zero).where(middle - steps, middle + steps)
+
+            along, across = write.absolute(x), write.absolute(y)
+            turns = zip(_TURN_COSINES, _TURN_SINES, strict=True)
+            steps = _count(write, [across * write.repeat(c) >= along * write.repeat(s) for c, s in turns], column)
+            is_left = y >= zero
+            steps = ((x >= zero) ^ is_left).where(times(column, HALF_SECTORS // 2 - 1) - steps, steps)
+            found += is_left.where(steps + times(column, HALF_SECTORS // 2), steps)
+
+            is_neighbor = (write.repeat(sq_radius) >= sq_distances) & (sq_distances > write.repeat(_SQ_LEAST))
+            write.store_each(is_neighbor.where(found, times(column, HALF_SECTORS)), bins, i)
+        return context.get_dummy_value()
+
+    return types.none(dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins), generate
+
+
+def _find_shells(write: Writer, sq_distances: Lanes, sq_edges: Any, edges: Any) -> Lanes:
+    """How many of the edges each distance reaches."""
+    shells = write.repeat(0)
+    if write.wide:
+        # Halving, each lane with edges of its own.
+        for step in (16, 8, 4, 2, 1):
+            low, high = (write.load_each(sq_edges, INT64(first + step - 1)) for first in (0, LANES))
+            is_reached = sq_distances >= write.look_up(low, high, shells)
+            shells = is_reached.where(shells + write.repeat(step), shells)
+        return shells
+    total = cgutils.alloca_once(write.builder, shells.value.type)  # type: ignore[no-untyped-call]
+    write.builder.store(shells.value, total)
+    with write.steps(INT64(0), edges, _UNROLLED) as (first, _):
+        some = [write.load(sq_edges, write.builder.add(first, INT64(k))) for k in range(_UNROLLED)]
+        reached = _count(write, [sq_distances >= edge for edge in some], INT32(1))
+        write.builder.store((Lanes(write.builder, write.builder.load(total)) + reached).value, total)
+    return Lanes(write.builder, write.builder.load(total))
+
+
+def _count(write: Writer, conditions: Sequence[Lanes], size: Any) -> Lanes:
+    """`size` times how many of the conditions hold."""
+    total = write.repeat(0)
+    if write.wide:
+        for condition in conditions:
+            total = condition.where(total + write.repeat(size), total)
+        return total
+    for condition in conditions:
+        total += condition.to_ints()
+    return total * write.repeat(size)
