@@ -10,10 +10,11 @@ from numba import njit
 from cgf.descriptors.histogram_bins import EDGE_PLACES, HALF_SECTORS, MAX_EDGES, find_bins
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
-from cgf.geometry.lanes import LANES, gather_offsets
+from cgf.geometry.lanes import LANES, gather_offsets, scale_counts
 from cgf.geometry.parallel import for_each_block
 
 _BLOCK = 64
+assert RADIAL_BINS == LANES + 1  # all shells but the innermost are scaled together
 _GATHERED = 1024
 """Neighbours looked at together; they and their bins stay in the processor's first cache."""
 _RUN = 256
@@ -158,8 +159,7 @@ def _fill_histograms(
         counts[k] = total + gathered - hits[-1]
         _add_half_sectors(hits[:-1].reshape(HALF_SECTORS, -1), soft, quarters)
         for support in range(len(insets)):
-            row = rows[k, support].reshape(-1, RADIAL_BINS)
-            _cut_support(quarters.reshape(-1, shells), counts[k], insets[support], row)
+            _cut_support(quarters.reshape(-1), shells, counts[k], insets[support], rows[k, support])
 
 
 @njit(cache=True, nogil=True)
@@ -185,19 +185,19 @@ def _add_half_sectors(hits, soft, quarters):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _cut_support(quarters, count, inset, row):
+def _cut_support(quarters, shells, count, inset, row):
     """The histogram of the support without the `inset` outer shells, whose innermost has all that are left over."""
-    shells = quarters.shape[1]
-    innermost = shells - inset - RADIAL_BINS
     total = 4 * count
-    for i in range(len(quarters)):
-        for shell in range(shells - inset, shells):
-            total -= quarters[i, shell]
+    if inset > 0:
+        for start in range(0, len(quarters), shells):
+            for j in range(start + shells - inset, start + shells):
+                total -= quarters[j]
     scale = np.float32(1.0) / np.float32(max(total, 1))
-    for i in range(len(quarters)):
+    innermost = shells - inset - RADIAL_BINS
+    for start in range(0, len(quarters), shells):
+        to = start // shells * RADIAL_BINS
         merged = np.int32(0)
-        for shell in range(innermost + 1):
-            merged += quarters[i, shell]
-        row[i, 0] = scale * np.float32(merged)
-        for shell in range(1, RADIAL_BINS):
-            row[i, shell] = scale * np.float32(quarters[i, innermost + shell])
+        for j in range(start, start + innermost + 1):
+            merged += quarters[j]
+        row[to] = scale * np.float32(merged)
+        scale_counts(quarters, start + innermost + 1, scale, row, to + 1)

@@ -56,6 +56,9 @@ class Lanes:
         """1 where true, else 0."""
         return Lanes(self.builder, self.builder.zext(self.value, _INTS))
 
+    def to_floats(self) -> "Lanes":
+        return Lanes(self.builder, self.builder.sitofp(self.value, _FLOATS))
+
     def _joined(self, name: str, other: "Lanes") -> "Lanes":
         if self.value.type == _FLOATS:
             # A product and a sum may become one instruction.
@@ -103,8 +106,9 @@ class Writer:
         return self.repeat(self.builder.load(self.builder.gep(base, [index])))
 
     def load_each(self, base: Any, index: Any) -> Lanes:
-        """`base[index : index + LANES]`, of single-precision numbers."""
-        return Lanes(self.builder, self.builder.load(self._address(base, index, _FLOATS), align=4))
+        """`base[index : index + LANES]`."""
+        kind = ir.VectorType(base.type.pointee, LANES)
+        return Lanes(self.builder, self.builder.load(self._address(base, index, kind), align=4))
 
     def store_each(self, lanes: Lanes, base: Any, index: Any) -> None:
         self.builder.store(lanes.value, self._address(base, index, lanes.value.type), align=4)
@@ -170,3 +174,17 @@ def gather_offsets(_context, xs, ys, zs, start, end, center, sq_radius, dx, dy, 
         return builder.load(total) if write.wide else builder.add(count, builder.sub(end, start))
 
     return types.int64(xs, ys, zs, start, end, center, sq_radius, dx, dy, dz, count), generate
+
+
+@intrinsic
+@no_type_check
+def scale_counts(_context, counts, start, scale, shares, to):
+    """`shares[to : to + LANES] = scale * counts[start : start + LANES]`."""
+
+    def generate(context, builder, signature, arguments):
+        write = Writer(context, builder)
+        counts, start, scale, shares, to = write.unpack(signature, arguments)
+        write.store_each(write.load_each(counts, start).to_floats() * write.repeat(scale), shares, to)
+        return context.get_dummy_value()
+
+    return types.none(counts, start, scale, shares, to), generate
