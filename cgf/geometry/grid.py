@@ -46,20 +46,35 @@ def build_grid(points: Float64[np.ndarray, "N 3"], *, cell_size: float) -> Grid:
         cell_size: Edge of a cell; a quarter of the ball radius is about the fastest. Grown where the grid would
             have more than `MAX_CELLS`.
     """
-    low = points.min(axis=0)
-    extent = points.max(axis=0) - low
+    columns = np.ascontiguousarray(points.T)
+    low = columns.min(axis=1)
+    extent = columns.max(axis=1) - low
     while np.prod(extent // cell_size + 1) > MAX_CELLS:
         cell_size *= 1.5
     shape = (extent // cell_size).astype(np.int64) + 1
     local = (points - low).astype(np.float32)
     cells = np.minimum((local / np.float32(cell_size)).astype(np.int64), shape - 1)
     keys = (cells[:, 2] * shape[1] + cells[:, 1]) * shape[0] + cells[:, 0]
-    order = np.argsort(keys, kind="stable")
-    starts = np.zeros(int(np.prod(shape)) + 1, np.int64)
-    np.cumsum(np.bincount(keys, minlength=len(starts) - 1), out=starts[1:])
+    order, starts = _sort(keys, int(np.prod(shape)))
     xyz = np.zeros((3, len(points) + LANES), np.float32)
     xyz[:, : len(points)] = local[order].T
     return Grid(xyz, order, starts, (int(shape[0]), int(shape[1]), int(shape[2])), float(cell_size), low)
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _sort(keys, count):
+    """Which of the `keys` come in which order, equal ones in their own; and where those of each of `count` begin."""
+    starts = np.zeros(count + 1, np.int64)
+    for key in keys:
+        starts[key] += 1
+    for key in range(1, count + 1):
+        starts[key] += starts[key - 1]
+    order = np.empty(len(keys), np.int64)
+    for i in range(len(keys) - 1, -1, -1):
+        starts[keys[i]] -= 1
+        order[starts[keys[i]]] = i
+    return order, starts
 
 
 @njit(inline="always")

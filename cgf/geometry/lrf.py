@@ -3,16 +3,19 @@
 from typing import Literal, no_type_check
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from numba import njit
 
-from cgf.geometry.grid import Grid, build_grid, cell_range
+from cgf.geometry.grid import build_grid, cell_range
+from cgf.geometry.lanes import gather_offsets
 from cgf.geometry.parallel import for_each_block
 
 MIN_NEIGHBORS = 5
 """A frame needs this many neighbours besides the point itself (as in PCL's SHOT frame)."""
 
 _BLOCK = 512
+_ROTATIONS = 30
+"""Each halves the number of digits that are wrong, about; ten or so do."""
 
 
 def estimate_lrf(
@@ -44,138 +47,189 @@ def estimate_lrf(
         raise ValueError(f"radius must be positive, got {radius:g}")
     if len(indices) == 0:
         return np.zeros((0, 3, 3)), np.zeros(0, dtype=np.bool_)
-    grid = build_grid(points, cell_size=radius / 2)
+    grid = build_grid(points, cell_size=radius)
     queries, z_axes = grid.local(points[indices]), normals[indices]
-    frames = np.empty((len(indices), 3, 3))
-    defined = np.empty(len(indices), dtype=np.bool_)
+    frames = np.zeros((len(indices), 3, 3))
+    defined = np.zeros(len(indices), dtype=np.bool_)
 
     def fill(part: slice) -> None:
-        frames[part], defined[part] = _frames(grid, queries[part], z_axes[part], np.float32(radius), kind)
+        _fill_frames(
+            queries[part],
+            z_axes[part],
+            *grid.arguments(),
+            np.float32(radius),
+            kind == "paper",
+            frames[part],
+            defined[part],
+        )
 
     for_each_block(fill, len(indices), block=_BLOCK)
     return frames, defined
 
 
-def _frames(
-    grid: Grid,
-    queries: Float32[np.ndarray, "K 3"],
-    normals: Float64[np.ndarray, "K 3"],
-    radius: np.float32,
-    kind: Literal["normal", "paper"],
-) -> tuple[Float64[np.ndarray, "K 3 3"], Bool[np.ndarray, "K"]]:
-    """Frames at `queries`, whose normals are given, and which of them are defined."""
-    covariances = np.zeros((len(queries), 3, 3))
-    counts = np.zeros(len(queries), np.int64)
-    _fill_covariances(queries, *grid.arguments(), radius, covariances, counts)
-    defined = counts >= MIN_NEIGHBORS
-    vectors = np.linalg.eigh(covariances)[1]  # columns, ascending eigenvalues
-
-    def turned(axes: Float64[np.ndarray, "K 3"]) -> Float64[np.ndarray, "K 3"]:
-        """Axes on the side where at least half of the neighbours lie.
-
-        On an exact tie the five neighbours around the median distance vote, as in PCL's SHOT frame.
-        """
-        signs = np.ones(len(queries))
-        _fill_signs(queries, *grid.arguments(), radius, axes, counts, signs)
-        return axes * signs[:, None]
-
-    x, z = np.ascontiguousarray(vectors[:, :, 2]), np.ascontiguousarray(vectors[:, :, 0])
-    x = turned(x)
-    if kind == "paper":
-        z = turned(z)
-        frames = np.stack([x, np.cross(z, x), z], axis=1)
-        # Quirk: negating three axes makes these frames left-handed; pinned by the golden test of the histogram.
-        frames[np.einsum("kd,kd->k", z, normals) < 0] *= -1
-    else:
-        z = normals
-        x = x - np.einsum("kd,kd->k", x, z)[:, None] * z
-        length = np.linalg.norm(x, axis=1)
-        # A normal along the largest axis leaves no x: such a neighbourhood is a spike, not a surface.
-        defined = defined & (length > 1e-6)
-        x = x / np.where(length > 1e-6, length, 1.0)[:, None]
-        frames = np.stack([x, np.cross(z, x), z], axis=1)
-    frames[~defined] = 0.0
-    return frames, defined
+@njit(cache=True, nogil=True)
+@no_type_check
+def _fill_frames(queries, normals, xs, ys, zs, starts, shape, cell_size, radius, has_own_z, frames, defined):
+    dx, dy, dz = np.empty(len(xs), np.float32), np.empty(len(xs), np.float32), np.empty(len(xs), np.float32)
+    sq_distances = np.empty(len(xs), np.float32)
+    for k in range(len(queries)):
+        gathered = _gather_ball(queries[k], xs, ys, zs, starts, shape, cell_size, radius, dx, dy, dz)
+        count = _keep_neighbors(dx, dy, dz, gathered, radius * radius, sq_distances)
+        if count < MIN_NEIGHBORS:
+            continue
+        neighbors = dx[:count], dy[:count], dz[:count]
+        z, x = _extreme_axes(_covariance(neighbors, sq_distances, radius))
+        x = _scaled(x, _side(neighbors, sq_distances, x))
+        normal = normals[k, 0], normals[k, 1], normals[k, 2]
+        if has_own_z:
+            z = _scaled(z, _side(neighbors, sq_distances, z))
+            y = _cross(z, x)
+            if _dot(z, normal) < 0.0:
+                # Quirk: this makes the frame left-handed; pinned by the golden test of the histogram.
+                x, y, z = _scaled(x, -1.0), _scaled(y, -1.0), _scaled(z, -1.0)
+        else:
+            z = normal
+            x = _sum(x, _scaled(z, -_dot(x, z)))
+            length = np.sqrt(_dot(x, x))
+            # A normal along the largest axis leaves no x: such a neighbourhood is a spike, not a surface.
+            if length <= 1e-6:
+                continue
+            x = _scaled(x, 1.0 / length)
+            y = _cross(z, x)
+        for d in range(3):
+            frames[k, 0, d], frames[k, 1, d], frames[k, 2, d] = x[d], y[d], z[d]
+        defined[k] = True
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_covariances(queries, xs, ys, zs, starts, shape, cell_size, radius, covariances, counts):
+def _gather_ball(query, xs, ys, zs, starts, shape, cell_size, radius, dx, dy, dz):
+    """Write the offsets of all points within the radius, and perhaps of some outside; return how many."""
     sq_radius = radius * radius
-    for k in range(len(queries)):
-        px, py, pz = queries[k, 0], queries[k, 1], queries[k, 2]
-        first_x, last_x = cell_range(px, radius, cell_size, shape[0])
-        first_y, last_y = cell_range(py, radius, cell_size, shape[1])
-        first_z, last_z = cell_range(pz, radius, cell_size, shape[2])
-        xx = xy = xz = yy = yz = zz = total = 0.0
-        count = 0
-        for cz in range(first_z, last_z + 1):
-            for cy in range(first_y, last_y + 1):
-                row = (cz * shape[1] + cy) * shape[0]
-                for i in range(starts[row + first_x], starts[row + last_x + 1]):
-                    dx, dy, dz = xs[i] - px, ys[i] - py, zs[i] - pz
-                    sq_distance = dx * dx + dy * dy + dz * dz
-                    if sq_distance > sq_radius or sq_distance == 0.0:
-                        continue
-                    weight = np.float64(radius) - np.sqrt(np.float64(sq_distance))
-                    ax, ay, az = np.float64(dx), np.float64(dy), np.float64(dz)
-                    xx += weight * ax * ax
-                    xy += weight * ax * ay
-                    xz += weight * ax * az
-                    yy += weight * ay * ay
-                    yz += weight * ay * az
-                    zz += weight * az * az
-                    total += weight
-                    count += 1
-        counts[k] = count
-        if total > 0.0:
-            covariances[k, 0, 0], covariances[k, 1, 1], covariances[k, 2, 2] = xx / total, yy / total, zz / total
-            covariances[k, 0, 1] = covariances[k, 1, 0] = xy / total
-            covariances[k, 0, 2] = covariances[k, 2, 0] = xz / total
-            covariances[k, 1, 2] = covariances[k, 2, 1] = yz / total
+    first_x, last_x = cell_range(query[0], radius, cell_size, shape[0])
+    first_y, last_y = cell_range(query[1], radius, cell_size, shape[1])
+    first_z, last_z = cell_range(query[2], radius, cell_size, shape[2])
+    count = 0
+    for cz in range(first_z, last_z + 1):
+        for cy in range(first_y, last_y + 1):
+            row = (cz * shape[1] + cy) * shape[0]
+            start, end = starts[row + first_x], starts[row + last_x + 1]
+            count = gather_offsets(xs, ys, zs, start, end, query, sq_radius, dx, dy, dz, count)
+    return count
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_signs(queries, xs, ys, zs, starts, shape, cell_size, radius, axes, counts, signs):
-    sq_radius = radius * radius
-    for k in range(len(queries)):
-        px, py, pz = queries[k, 0], queries[k, 1], queries[k, 2]
-        ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
-        first_x, last_x = cell_range(px, radius, cell_size, shape[0])
-        first_y, last_y = cell_range(py, radius, cell_size, shape[1])
-        first_z, last_z = cell_range(pz, radius, cell_size, shape[2])
-        sides = np.empty(counts[k])
-        sq_distances = np.empty(counts[k], np.float32)
-        count = 0
-        positive = 0
-        for cz in range(first_z, last_z + 1):
-            for cy in range(first_y, last_y + 1):
-                row = (cz * shape[1] + cy) * shape[0]
-                for i in range(starts[row + first_x], starts[row + last_x + 1]):
-                    dx, dy, dz = xs[i] - px, ys[i] - py, zs[i] - pz
-                    sq_distance = dx * dx + dy * dy + dz * dz
-                    if sq_distance > sq_radius or sq_distance == 0.0:
-                        continue
-                    side = dx * ax + dy * ay + dz * az
-                    sides[count] = side
-                    sq_distances[count] = sq_distance
-                    count += 1
-                    if side >= 0.0:
-                        positive += 1
-        if 2 * positive < count:
-            signs[k] = -1.0
-        elif 2 * positive == count and count >= MIN_NEIGHBORS:
-            # Insertion sort by distance: ties are rare, neighbourhoods small, and NumPy's sort compiles for seconds.
-            for i in range(1, count):
-                side, sq_distance, j = sides[i], sq_distances[i], i
-                while j > 0 and sq_distances[j - 1] > sq_distance:
-                    sides[j], sq_distances[j] = sides[j - 1], sq_distances[j - 1]
-                    j -= 1
-                sides[j], sq_distances[j] = side, sq_distance
-            votes = 0
-            for i in range(count // 2 - 2, count // 2 + 3):
-                if sides[i] > 0.0:
-                    votes += 1
-            if votes < 3:
-                signs[k] = -1.0
+def _keep_neighbors(dx, dy, dz, count, sq_radius, sq_distances):
+    """Move those within the radius together, without the point itself; return how many there are."""
+    kept = 0
+    for i in range(count):
+        sq_distance = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i]
+        dx[kept], dy[kept], dz[kept], sq_distances[kept] = dx[i], dy[i], dz[i], sq_distance
+        kept += 0.0 < sq_distance <= sq_radius
+    return kept
+
+
+# Terms may be added in any order.
+@njit(cache=True, nogil=True, fastmath={"reassoc", "contract"})
+@no_type_check
+def _covariance(neighbors, sq_distances, radius):
+    """Of the offsets, weighted by how far inside the radius they end; its entries xx, xy, xz, yy, yz, zz."""
+    dx, dy, dz = neighbors
+    xx = xy = xz = yy = yz = zz = total = 0.0
+    for i in range(len(dx)):
+        weight = np.float64(radius) - np.sqrt(np.float64(sq_distances[i]))
+        x, y, z = np.float64(dx[i]), np.float64(dy[i]), np.float64(dz[i])
+        xx += weight * x * x
+        xy += weight * x * y
+        xz += weight * x * z
+        yy += weight * y * y
+        yz += weight * y * z
+        zz += weight * z * z
+        total += weight
+    scale = 1.0 / total if total > 0.0 else 0.0
+    return xx * scale, xy * scale, xz * scale, yy * scale, yz * scale, zz * scale
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _extreme_axes(covariance):
+    """Unit axes of the smallest and of the largest variance, by Jacobi's rotations."""
+    xx, xy, xz, yy, yz, zz = covariance
+    least = 1e-17 * (xx + yy + zz)
+    u, v, w = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    for _ in range(_ROTATIONS):
+        if max(abs(xy), abs(xz), abs(yz)) <= least:
+            break
+        if abs(xy) > least:
+            # The smaller of the two angles that make xy zero.
+            half = 0.5 * (yy - xx)
+            tangent = xy / (half + np.copysign(np.sqrt(half * half + xy * xy), half))
+            cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+            sine = tangent * cosine
+            xx, yy, xy = xx - tangent * xy, yy + tangent * xy, 0.0
+            xz, yz = cosine * xz - sine * yz, sine * xz + cosine * yz
+            u, v = (
+                _sum(_scaled(u, cosine), _scaled(v, -sine)),
+                _sum(_scaled(u, sine), _scaled(v, cosine)),
+            )
+        # The next pair in turn.
+        xx, yy, zz, xy, xz, yz = yy, zz, xx, yz, xy, xz
+        u, v, w = v, w, u
+    if xx > yy:
+        xx, yy, u, v = yy, xx, v, u
+    if yy > zz:
+        yy, zz, v, w = zz, yy, w, v
+    return u if xx <= yy else v, w
+
+
+@njit(inline="always")
+@no_type_check
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(inline="always")
+@no_type_check
+def _cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(inline="always")
+@no_type_check
+def _sum(a, b):
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@njit(inline="always")
+@no_type_check
+def _scaled(a, factor):
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
+def _side(neighbors, sq_distances, axis):
+    """1 if at least half of the neighbours lie on the side that the axis points to, else -1.
+
+    On an exact tie the five neighbours around the median distance vote, as in PCL's SHOT frame.
+    """
+    dx, dy, dz = neighbors
+    count = len(dx)
+    positive = 0
+    for i in range(count):
+        positive += dx[i] * axis[0] + dy[i] * axis[1] + dz[i] * axis[2] >= 0.0
+    if 2 * positive != count:
+        return 1.0 if 2 * positive > count else -1.0
+    # Insertion sort by distance: ties are rare, neighbourhoods small, and NumPy's sort compiles for seconds.
+    nearest = np.arange(count)
+    for i in range(1, count):
+        neighbor, j = nearest[i], i
+        while j > 0 and sq_distances[nearest[j - 1]] > sq_distances[neighbor]:
+            nearest[j] = nearest[j - 1]
+            j -= 1
+        nearest[j] = neighbor
+    votes = 0
+    for i in nearest[count // 2 - 2 : count // 2 + 3]:
+        votes += dx[i] * axis[0] + dy[i] * axis[1] + dz[i] * axis[2] > 0.0
+    return 1.0 if votes >= 3 else -1.0

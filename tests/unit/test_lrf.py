@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from cgf.geometry.lrf import estimate_lrf
+from cgf.geometry.lrf import _extreme_axes, estimate_lrf
 
 
 def plane(seed=1, count=400):
@@ -28,6 +28,17 @@ def test_axes_are_those_of_the_weighted_covariance():
     for row, frame in zip(rows, frames, strict=True):
         expected = covariance_frame(points, points[row], 0.4)
         np.testing.assert_allclose(np.abs(np.sum(frame[[0, 2]] * expected[[0, 2]], axis=1)), 1, atol=1e-4)
+
+
+@pytest.mark.parametrize("variances", [(3, 2, 1), (1, 1e-6, 1e-12), (1, 1, 0), (1, 0, 0), (2, 2, 2), (0, 0, 0)])
+def test_extreme_axes_are_eigenvectors_to_rounding(variances):
+    for seed in range(20):
+        turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] if seed else np.eye(3)
+        covariance = turn @ np.diag(variances) @ turn.T
+        values = np.linalg.eigvalsh(covariance)
+        axes = np.array(_extreme_axes(tuple(covariance[np.triu_indices(3)])))
+        np.testing.assert_allclose(axes @ axes.T, np.eye(2), atol=1e-14)
+        np.testing.assert_allclose(axes @ covariance, values[[0, 2], None] * axes, atol=1e-14)
 
 
 def test_x_points_to_where_most_neighbours_are():
