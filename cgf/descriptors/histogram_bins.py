@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, no_type_check
 
 import numpy as np
+from jaxtyping import Float32
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
@@ -16,8 +17,6 @@ from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
 
 MAX_EDGES = 31
 """Edges between shells at most: a look-up within registers has 32 places."""
-EDGE_PLACES = MAX_EDGES + 2 * LANES
-"""Length of an array of edges for `find_bins`."""
 HALF_SECTORS = 2 * AZIMUTH_BINS
 """Azimuth is told to half a sector. The first begins at -x; they turn from there towards -y."""
 
@@ -31,13 +30,19 @@ _SQ_LEAST = np.float32(1e-15)
 _UNROLLED = 4
 
 
+def padded_edges(sq_edges: Float32[np.ndarray, "E"]) -> Float32[np.ndarray, "P"]:
+    """Squared edges as `find_bins` takes them: in ascending order, and infinite from there on."""
+    assert len(sq_edges) <= MAX_EDGES, f"{len(sq_edges)} edges between shells"
+    return np.append(sq_edges, np.full(MAX_EDGES + 2 * LANES - len(sq_edges), np.inf, np.float32))
+
+
 @intrinsic
 @no_type_check
 def find_bins(_context, dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins):
     """Write the bin of each of `count` offsets, turned into `frame`; of what is no neighbour, one after all others.
 
-    The shell varies fastest, then the elevation, then the half sector. `sq_edges` holds `edges` squared edges between
-    shells, in ascending order, and is infinite from there on; a neighbour on one is in the outer shell.
+    The shell varies fastest, then the elevation, then the half sector. `sq_edges` are the padded squares of so many
+    `edges` between shells; a neighbour on one is in the outer shell.
     """
 
     def generate(context, builder, signature, arguments):

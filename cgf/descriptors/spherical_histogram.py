@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from numba import njit
 
-from cgf.descriptors.histogram_bins import EDGE_PLACES, HALF_SECTORS, MAX_EDGES, find_bins
+from cgf.descriptors.histogram_bins import HALF_SECTORS, find_bins, padded_edges
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
 from cgf.geometry.lanes import LANES, gather_offsets, scale_counts
@@ -66,8 +66,7 @@ class HistogramGrid:
         # above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
         growth = self.support_radius / self.min_radius
         edges = self.min_radius * growth ** (np.arange(-max(insets), shells) / shells)
-        sq_edges = np.square(edges).astype(np.float32)
-        assert len(sq_edges) <= MAX_EDGES
+        sq_edges = padded_edges(np.square(edges).astype(np.float32))
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
         rows = np.empty((len(centers), len(insets), HISTOGRAM_BINS), np.float32)
         counts = np.empty(len(centers), np.int64)
@@ -79,6 +78,7 @@ class HistogramGrid:
                 *self.grid.arguments(),
                 np.float32(self.support_radius),
                 sq_edges,
+                len(edges),
                 soft,
                 insets,
                 rows[part],
@@ -114,12 +114,9 @@ def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float,
 @njit(cache=True, nogil=True)
 @no_type_check
 def _fill_histograms(
-    centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, soft, insets, rows, counts
+    centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, edges, soft, insets, rows, counts
 ):
     sq_radius = radius * radius
-    edges = len(sq_edges)
-    edge_places = np.full(EDGE_PLACES, np.inf, np.float32)
-    edge_places[:edges] = sq_edges
     size = _GATHERED + LANES
     dx, dy, dz = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
     bins = np.empty(size, np.uint32)
@@ -150,12 +147,10 @@ def _fill_histograms(
                     gathered = gather_offsets(xs, ys, zs, i, stop, centers[k], sq_radius, dx, dy, dz, gathered)
                     i = stop
                     if gathered > _GATHERED - _RUN:
-                        find_bins(dx, dy, dz, gathered, frames[k], sq_radius, edge_places, edges, bins)
-                        _count_hits(bins[:gathered], hits)
+                        _count_hits(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, edges, bins, hits)
                         total += gathered
                         gathered = 0
-        find_bins(dx, dy, dz, gathered, frames[k], sq_radius, edge_places, edges, bins)
-        _count_hits(bins[:gathered], hits)
+        _count_hits(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, edges, bins, hits)
         counts[k] = total + gathered - hits[-1]
         _add_half_sectors(hits[:-1].reshape(HALF_SECTORS, -1), soft, quarters)
         for support in range(len(insets)):
@@ -164,8 +159,9 @@ def _fill_histograms(
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _count_hits(bins, hits):
-    for i in range(len(bins)):
+def _count_hits(dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins, hits):
+    find_bins(dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins)
+    for i in range(count):
         hits[bins[i]] += 1
 
 

@@ -43,8 +43,8 @@ def build_grid(points: Float64[np.ndarray, "N 3"], *, cell_size: float) -> Grid:
 
     Args:
         points: Finite, at least one, in cloud units.
-        cell_size: Edge of a cell; a quarter of the ball radius is about the fastest. Grown where the grid would
-            have more than `MAX_CELLS`.
+        cell_size: Edge of a cell; about the fastest is a quarter of the radius for balls of thousands of points, the
+            radius for balls of dozens. Grown where the grid would have more than `MAX_CELLS`.
     """
     columns = np.ascontiguousarray(points.T)
     low = columns.min(axis=1)

@@ -15,7 +15,7 @@ MIN_NEIGHBORS = 5
 
 _BLOCK = 512
 _ROTATIONS = 30
-"""Each halves the number of digits that are wrong, about; ten or so do."""
+"""At most; about ten do."""
 
 
 def estimate_lrf(
@@ -69,7 +69,7 @@ def estimate_lrf(
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_frames(queries, normals, xs, ys, zs, starts, shape, cell_size, radius, has_own_z, frames, defined):
+def _fill_frames(queries, normals, xs, ys, zs, starts, shape, cell_size, radius, is_paper, frames, defined):
     dx, dy, dz = np.empty(len(xs), np.float32), np.empty(len(xs), np.float32), np.empty(len(xs), np.float32)
     sq_distances = np.empty(len(xs), np.float32)
     for k in range(len(queries)):
@@ -81,7 +81,7 @@ def _fill_frames(queries, normals, xs, ys, zs, starts, shape, cell_size, radius,
         z, x = _extreme_axes(_covariance(neighbors, sq_distances, radius))
         x = _scaled(x, _side(neighbors, sq_distances, x))
         normal = normals[k, 0], normals[k, 1], normals[k, 2]
-        if has_own_z:
+        if is_paper:
             z = _scaled(z, _side(neighbors, sq_distances, z))
             y = _cross(z, x)
             if _dot(z, normal) < 0.0:
@@ -230,6 +230,7 @@ def _side(neighbors, sq_distances, axis):
             j -= 1
         nearest[j] = neighbor
     votes = 0
-    for i in nearest[count // 2 - 2 : count // 2 + 3]:
+    for j in range(count // 2 - 2, count // 2 + 3):
+        i = nearest[j]
         votes += dx[i] * axis[0] + dy[i] * axis[1] + dz[i] * axis[2] > 0.0
     return 1.0 if votes >= 3 else -1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from cgf.descriptors.histogram_bins import EDGE_PLACES, find_bins
+from cgf.descriptors.histogram_bins import find_bins, padded_edges
 from cgf.geometry.lanes import LANES, gather_offsets
 
 RADIUS = np.float32(0.875)
@@ -30,11 +30,9 @@ def gathered(xyz, runs, center, sq_radius):
 
 
 @njit
-def found(offsets, count, frame, sq_radius, sq_edges):
-    places = np.full(EDGE_PLACES, np.inf, np.float32)
-    places[: len(sq_edges)] = sq_edges
+def found(offsets, count, frame, sq_radius, sq_edges, edges):
     bins = np.empty(offsets.shape[1], np.int32)
-    find_bins(offsets[0], offsets[1], offsets[2], count, frame, sq_radius, places, len(sq_edges), bins)
+    find_bins(offsets[0], offsets[1], offsets[2], count, frame, sq_radius, sq_edges, edges, bins)
     return bins[:count]
 
 
@@ -64,7 +62,7 @@ def check_bins(edges):
     sq_edges = np.square(np.linspace(0.125, 0.75, edges)).astype(np.float32)
     offsets = lattice() - CENTER[:, None]
     count = offsets.shape[1]
-    bins = found(np.pad(offsets, ((0, 0), (0, LANES))), count, FRAME, RADIUS**2, sq_edges)
+    bins = found(np.pad(offsets, ((0, 0), (0, LANES))), count, FRAME, RADIUS**2, padded_edges(sq_edges), edges)
     np.testing.assert_array_equal(bins, expected_bins(offsets, sq_edges))
 
 
