@@ -19,6 +19,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from cgf.descriptors.network import COLUMN_BINS, INPUT_GAIN
 from cgf.descriptors.settings import AZIMUTH_BINS
 
 EDGE = 32
@@ -211,6 +212,13 @@ def _round(values, rounded):
 
 @njit(nogil=True)
 @no_type_check
+def _round_roots(shares, rounded):
+    for j in range(len(shares)):
+        rounded[j] = _rounded(np.sqrt(shares[j]) * np.float32(INPUT_GAIN))
+
+
+@njit(nogil=True)
+@no_type_check
 def _activate(sums, bias, rounded, column):
     """Rectified sums plus bias, into 32 columns of `rounded` from `column` on."""
     for r in range(EDGE):
@@ -242,7 +250,7 @@ def _convolve(columns, weights, sums, sector, block):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_hidden(values, bins, first, second, third, last, biases, configuration, hidden):
+def _fill_hidden(histograms, bins, first, second, third, last, biases, configuration, hidden):
     inputs = np.zeros((AZIMUTH_BINS, EDGE, len(first[0]) // 3 * _DEPTH), np.uint16)
     columns = np.empty((AZIMUTH_BINS, EDGE, len(first) * EDGE), np.uint16)
     others = np.empty((AZIMUTH_BINS, EDGE, len(second) * EDGE), np.uint16)
@@ -253,11 +261,11 @@ def _fill_hidden(values, bins, first, second, third, last, biases, configuration
     run = len(last[0]) // 3
     share = np.float32(1.0 / AZIMUTH_BINS)
     _configure(configuration)
-    for start in range(0, len(values), EDGE):
-        count = min(EDGE, len(values) - start)
+    for start in range(0, len(histograms), EDGE):
+        count = min(EDGE, len(histograms) - start)
         for r in range(count):
             for sector in range(AZIMUTH_BINS):
-                _round(values[start + r, sector * bins : (sector + 1) * bins], inputs[sector, r])
+                _round_roots(histograms[start + r, sector * bins : (sector + 1) * bins], inputs[sector, r])
         for sector in range(AZIMUTH_BINS):
             for block in range(len(first)):
                 _convolve(inputs, first, sums, sector, block)
@@ -294,10 +302,10 @@ class TiledNetwork:
     width: int
     """Of the hidden layer."""
 
-    def hidden(self, values: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
-        """The hidden layer for roots of histograms, as in `cgf.descriptors.network`."""
-        hidden = np.empty((len(values), self.width), np.float32)
-        _fill_hidden(values, values.shape[1] // AZIMUTH_BINS, *self.layers, self.biases, _CONFIGURATION, hidden)
+    def hidden(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
+        """The hidden layer, given the roots of these histograms times `INPUT_GAIN`."""
+        hidden = np.empty((len(histograms), self.width), np.float32)
+        _fill_hidden(histograms, COLUMN_BINS, *self.layers, self.biases, _CONFIGURATION, hidden)
         return hidden
 
 

@@ -140,7 +140,7 @@ class Network:
         if self.card.kind == "pca":
             # Projection on the principal components of training histograms: the paper's linear baseline.
             return (rows - weights["mean"]) @ weights["components"].T, None
-        hidden = self._hidden(np.sqrt(rows) * np.float32(INPUT_GAIN) if self.card.root else rows)
+        hidden = self._hidden(rows)
         vectors = _linear(hidden, weights, "out")
         if self.card.nested:
             vectors = unit_rows(vectors)
@@ -156,13 +156,17 @@ class Network:
         """Whether the network was taught the quality of its features."""
         return "quality.0.bias" in self.weights
 
-    def _hidden(self, values: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
+    def _hidden(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
+        if self.card.kind == "azimuth":
+            # Compiled, so imported only where features are computed: reading a card takes no time.
+            from cgf.descriptors import amx
+
+            if amx.uses_tiles():
+                return self._tiled.hidden(histograms)
+        values = np.sqrt(histograms) * np.float32(INPUT_GAIN) if self.card.root else histograms
         if self.card.kind == "paper":
             return _paper_hidden(values, self.weights)
-        # Compiled, so imported only where features are computed: reading a card takes no time.
-        from cgf.descriptors import amx
-
-        return self._tiled.hidden(values) if amx.uses_tiles() else _azimuth_hidden(values, self._filtered)
+        return _azimuth_hidden(values, self._filtered)
 
     @cached_property
     def _tiled(self) -> "TiledNetwork":

@@ -9,16 +9,16 @@ from cgf.descriptors.network import read_network, shipped_weights
 tiles = pytest.mark.skipif(not amx.has_tiles(), reason="the processor multiplies no tiles of bfloat16 (AMX)")
 
 
-def roots(count):
+def histograms(count):
     rows = np.random.default_rng(5).random((count, 2244), dtype=np.float32) ** 8
-    return 16 * np.sqrt(rows / rows.sum(axis=1, keepdims=True))
+    return rows / rows.sum(axis=1, keepdims=True)
 
 
 def as_float(rounded):
     return (rounded.astype(np.uint32) << 16).view(np.float32)
 
 
-def network_by_definition(weights, values):
+def network_by_definition(weights, rows):
     """In double precision, with what the tiles are given rounded to bfloat16."""
 
     def rounded(numbers):
@@ -27,7 +27,7 @@ def network_by_definition(weights, values):
     def layer(inputs, name):
         return np.maximum(rounded(inputs) @ rounded(weights[f"{name}.weight"]).T + weights[f"{name}.bias"], 0)
 
-    columns = values.reshape(len(values), 12, -1)
+    columns = (16 * np.sqrt(rows)).reshape(len(rows), 12, -1)
     for k in range(3):
         around = [np.roll(columns, 1, axis=1), columns, np.roll(columns, -1, axis=1)]
         columns = layer(np.concatenate(around, axis=2), f"columns.{k}")
@@ -55,23 +55,24 @@ def test_rounding_is_to_the_nearest_and_ties_go_to_even():
 @pytest.mark.parametrize(("count", "width", "hidden"), [(1, 192, 384), (32, 32, 64), (75, 24, 40), (33, 100, 97)])
 def test_equals_the_definition_for_any_number_of_points_and_channels(count, width, hidden):
     weights = random_weights(width, hidden)
-    found = amx.pack_network(weights).hidden(roots(count))
+    found, expected = (
+        amx.pack_network(weights).hidden(histograms(count)),
+        network_by_definition(weights, histograms(count)),
+    )
     # Sums differ in the last digit of single precision, which may round a value the other way.
-    np.testing.assert_allclose(found, network_by_definition(weights, roots(count)), atol=0.01)
-    assert np.abs(found - network_by_definition(weights, roots(count))).mean() < 1e-4
+    np.testing.assert_allclose(found, expected, atol=0.01)
+    assert np.abs(found - expected).mean() < 1e-4
 
 
 @tiles
 @pytest.mark.parametrize("model", ["object", "indoor"])
 def test_features_are_those_of_single_precision(model, monkeypatch):
     network = read_network(shipped_weights(f"cgf-{model}"))
-    rows = (roots(200) / 16) ** 2
-    supports = len(network.card.insets)
-    histograms = rows[: 200 // supports * supports].reshape(-1, supports, 2244)
+    rows = histograms(200).reshape(-1, len(network.card.insets), 2244)
     monkeypatch.setenv("CGF_PRECISION", "float32")
-    exact, exact_quality = network.embed_and_judge(histograms)
+    exact, exact_quality = network.embed_and_judge(rows)
     monkeypatch.setenv("CGF_PRECISION", "bfloat16")
-    rounded, rounded_quality = network.embed_and_judge(histograms)
+    rounded, rounded_quality = network.embed_and_judge(rows)
     assert (exact != rounded).any()
     assert np.linalg.norm(exact - rounded, axis=1).max() < 0.02
     np.testing.assert_allclose(rounded_quality, exact_quality, atol=0.02)
