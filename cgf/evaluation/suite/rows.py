@@ -119,7 +119,9 @@ def fingerprint(row: Row) -> str:
     ]
     for array in values:
         digest.update((np.round(array, 3) + np.float32(0)).tobytes())
-    lengths = (settings.voxel_size, settings.support_radius, settings.min_radius, settings.lrf_radius)
+    lengths = [settings.voxel_size]
+    if row.name != "fpfh":
+        lengths += [settings.support_radius, settings.min_radius, settings.lrf_radius]
     digest.update(repr((row.dims, *(f"{length:.6g}" for length in lengths))).encode())
     return digest.hexdigest()
 
