@@ -11,7 +11,7 @@ from cgf.descriptors.network import read_network, shipped_weights, write_network
 def write_judging(path: Path, *, name: str = "cgf-indoor", width: int = 8) -> Path:
     """The shipped weights with a head that spreads its estimates between 0 and 1."""
     network, rng = read_network(shipped_weights(name)), np.random.default_rng(5)
-    hidden = network.weights["out.weight"].shape[1]
+    hidden = len(network.card.insets) * network.weights["out.weight"].shape[1]
     head = {
         "quality.0.weight": rng.normal(size=(width, hidden)),
         "quality.0.bias": rng.normal(size=width),

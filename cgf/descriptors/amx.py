@@ -19,8 +19,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from cgf.descriptors.network import COLUMN_BINS, INPUT_GAIN
-from cgf.descriptors.settings import AZIMUTH_BINS
+from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, INPUT_GAIN
 
 EDGE = 32
 """Rows and columns of a block of sums: two tiles of 16 either way, which leaves four tiles for the factors."""

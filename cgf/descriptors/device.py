@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from cgf.descriptors.network import INPUT_GAIN, Network, NetworkKind
-from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
+from cgf.descriptors.network import Network, NetworkKind
+from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, INPUT_GAIN, RADIAL_BINS
 from cgf.types import IsCancelled, raise_if_cancelled
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from cgf.descriptors.settings import DescriptorSettings
 from cgf.io import import_open3d
 from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
 
-_RADIUS_OVER_SUPPORT = {"object": 0.08 / 0.17, "indoor": 0.4 / 0.9}
+_RADIUS_OVER_SUPPORT = {"object": 0.08 / 0.2, "indoor": 0.4 / 1.08}
 """FPFH has its own best radius: 8 % of the diameter on object scans, 0.4 m in rooms.
 
 These did best of 3, 5, 8 and 12 %, and of 0.15, 0.25 and 0.4 m, in a comparison made before this code.

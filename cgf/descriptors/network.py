@@ -16,7 +16,9 @@ from jaxtyping import Float32
 
 from cgf.descriptors.settings import (
     AZIMUTH_BINS,
+    COLUMN_BINS,
     HISTOGRAM_BINS,
+    INPUT_GAIN,
     MODEL_DEFAULTS,
     FrameKind,
     ModelDefaults,
@@ -28,10 +30,6 @@ if TYPE_CHECKING:
 
 NetworkKind = Literal["azimuth", "paper", "pca"]
 Weights = dict[str, Float32[np.ndarray, "..."]]
-
-COLUMN_BINS = HISTOGRAM_BINS // AZIMUTH_BINS
-INPUT_GAIN = 16.0
-"""The square root of a histogram has unit length over 2,244 bins; this brings its entries to the order of 1."""
 
 
 @dataclass(frozen=True)

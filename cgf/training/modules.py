@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from cgf.descriptors.device import forward
-from cgf.descriptors.network import COLUMN_BINS, INPUT_GAIN, NetworkKind
-from cgf.descriptors.settings import HISTOGRAM_BINS
+from cgf.descriptors.network import NetworkKind
+from cgf.descriptors.settings import COLUMN_BINS, HISTOGRAM_BINS, INPUT_GAIN
 
 _JUDGE_WIDTH = 64
 

@@ -24,6 +24,9 @@ from cgf.training.settings import TrainSettings
 from cgf.training.triplets import TripletBatch, Triplets
 from cgf.types import Progress
 
+_JOIN_RATE = 10.0
+"""How much faster the layer that joins supports learns than all of a network."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Trained:
@@ -153,7 +156,7 @@ def _contrastive(
     network = optimise(_network(settings), draw=batches().draw, settings=loop, folder=folder)
     if len(settings.insets) > 1:
         # Only now: when supports were joined from the start, the network learned the scenes by heart.
-        joining = replace(loop, steps=settings.join_steps)
+        joining = replace(loop, steps=settings.join_steps, learning_rate=_JOIN_RATE * loop.learning_rate)
         network = joined(network, len(settings.insets))
         network = optimise(network, draw=batches(joined=True).draw, settings=joining, folder=folder / "join")
     return _Trained(_weights(network), loop.steps)

@@ -43,7 +43,7 @@ class TrainSettings:
     """Of its innermost shell; None stands for the model's own."""
     insets: tuple[int, ...] = (0,)
     """Supports whose features are joined: by how many shells each is smaller than the largest."""
-    join_steps: int = 1500
+    join_steps: int = 1000
     """Minibatches, after the others, in which joining several supports is learned."""
     batch: int = 512
     """Correspondences (contrastive) or triplets (paper) per minibatch."""

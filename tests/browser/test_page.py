@@ -129,7 +129,7 @@ def test_a_value_that_cannot_be_used_is_a_message_and_changes_nothing(viewer: Vi
     field.press("Enter")
     notice = viewer.page.locator(".notice[data-level=error]")
     expect(notice).to_contain_text("Support radius must be at most the diameter of the clouds")
-    expect(field).to_have_value("0.9")
+    expect(field).to_have_value("1.08")
     assert viewer.state()["numbers"] == before["numbers"]
     notice.get_by_role("button", name="Close this message").click()
     expect(notice).to_have_count(0)

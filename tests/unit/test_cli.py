@@ -205,8 +205,8 @@ def test_quiet_leaves_results_only(clouds: list[str], capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--radius", "0.001"], "cgf match: --radius must be above the point spacing (0.1), got 0.001; try 0.9"),
-        (["--voxel", "1.5"], "cgf match: --voxel must be below the radius (0.9), got 1.5; try 0.03"),
+        (["--radius", "0.001"], "cgf match: --radius must be above the point spacing (0.1), got 0.001; try 1.1"),
+        (["--voxel", "1.5"], "cgf match: --voxel must be below the radius (1.08), got 1.5; try 0.036"),
         (["--dim", "32"], "cgf match: --dim must be one of 33 with --descriptor fpfh, got 32"),
         (["--ratio", "2"], "cgf match: --ratio must be above 0 and at most 1, got 2; try 0.9"),
         (["-o", "matches.txt"], "cgf match: output must end in .csv or .npz, got matches.txt"),

@@ -23,10 +23,7 @@ def clouds(tmp_path):
 
 def test_own_weights_are_used_with_the_lengths_of_their_card(clouds, tmp_path):
     network = read_network(shipped_weights("cgf-object"))
-    weights = {name: values.copy() for name, values in network.weights.items()}
-    weights["out.weight"] = weights["out.weight"][:16]
-    weights["out.bias"] = weights["out.bias"][:16]
-    own = Network(replace(network.card, dims=(8, 16), support_radius=0.3, min_radius=0.02), weights)
+    own = Network(replace(network.card, support_radius=0.3, min_radius=0.02), network.weights)
     write_network(tmp_path / "own.safetensors", own)
     output = tmp_path / "f.npz"
     arguments = ["--weights", str(tmp_path / "own.safetensors"), "--dim", "16", "--voxel", "0"]

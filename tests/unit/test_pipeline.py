@@ -130,7 +130,7 @@ def test_object_defaults_scale_with_the_diameter() -> None:
     small, large = settings_for(1.0), settings_for(1000.0)
     for name in ("voxel_size", "support_radius", "min_radius", "lrf_radius", "tau", "error_scale", "inlier_distance"):
         assert getattr(large, name) == pytest.approx(1000 * getattr(small, name))
-    assert small.support_radius == pytest.approx(0.17)
+    assert small.support_radius == pytest.approx(0.2)
 
 
 def test_the_innermost_shell_keeps_its_share_of_the_radius() -> None:
@@ -149,17 +149,17 @@ def test_frames_are_large_enough_for_sparse_clouds() -> None:
     [
         (
             {"support_radius": 0.01},
-            r"--radius must be above the point spacing \(0\.0\d+\), got 0\.01; try 0\.9",
+            r"--radius must be above the point spacing \(0\.0\d+\), got 0\.01; try 1\.1",
         ),
-        ({"support_radius": -1.0}, r"--radius must be above the point spacing \(0\.0\d+\), got -1; try 0\.9"),
-        ({"support_radius": float("nan")}, r"--radius must be above the point spacing \(0\.0\d+\), got nan; try 0\.9"),
-        ({"support_radius": 50.0}, r"--radius must be at most the diameter of the clouds \(4\), got 50; try 0\.9"),
+        ({"support_radius": -1.0}, r"--radius must be above the point spacing \(0\.0\d+\), got -1; try 1\.1"),
+        ({"support_radius": float("nan")}, r"--radius must be above the point spacing \(0\.0\d+\), got nan; try 1\.1"),
+        ({"support_radius": 50.0}, r"--radius must be at most the diameter of the clouds \(4\), got 50; try 1\.1"),
         ({"voxel_size": -0.1}, r"--voxel must be 0 \(keep every point\) or more, got -0\.1; try 0\.03"),
         ({"voxel_size": float("inf")}, r"--voxel must be 0 \(keep every point\) or more, got inf; try 0\.03"),
-        ({"voxel_size": 1.2}, r"--voxel must be below the radius \(0\.9\), got 1\.2; try 0\.03"),
-        ({"voxel_size": 2.0}, r"--voxel must be below the radius \(0\.9\), got 2; try 0\.03"),
-        ({"min_radius": 1.2}, r"--min-radius must be above 0 and below the radius \(0\.9\), got 1\.2; try 0\.075"),
-        ({"min_radius": 0.0}, r"--min-radius must be above 0 and below the radius \(0\.9\), got 0; try 0\.075"),
+        ({"voxel_size": 1.2}, r"--voxel must be below the radius \(1\.08\), got 1\.2; try 0\.03"),
+        ({"voxel_size": 2.0}, r"--voxel must be below the radius \(1\.08\), got 2; try 0\.03"),
+        ({"min_radius": 1.2}, r"--min-radius must be above 0 and below the radius \(1\.08\), got 1\.2; try 0\.09"),
+        ({"min_radius": 0.0}, r"--min-radius must be above 0 and below the radius \(1\.08\), got 0; try 0\.09"),
         (
             {"lrf_radius": 0.01},
             r"--lrf-radius must be above the point spacing \(0\.0\d+\) and at most the diameter \(4\), got 0\.01; "
@@ -186,12 +186,12 @@ def test_a_setting_that_cannot_be_used_is_refused_with_its_option(chosen: dict[s
 
 def test_a_radius_below_the_spacing_of_very_sparse_clouds_is_refused() -> None:
     cloud = surface(4.0, count=10)
-    with pytest.raises(InputError, match=r"--radius must be above the point spacing .*, got 0\.1; try 0\.9"):
+    with pytest.raises(InputError, match=r"--radius must be above the point spacing .*, got 0\.1; try 1\.1"):
         resolve(PairSettings(descriptor="fpfh", support_radius=0.1), cloud, cloud)
 
 
 def test_a_model_whose_radius_does_not_fit_is_refused() -> None:
-    sentence = r"--radius must be at most the diameter of the clouds \(0\.5\), got 0\.9; choose --model object or give"
+    sentence = r"--radius must be at most the diameter of the clouds \(0\.5\), got 1\.08; choose --model object or give"
     with pytest.raises(InputError, match=sentence):
         settings_for(0.5, model="indoor")
 
@@ -251,7 +251,7 @@ def test_a_cloud_that_cannot_be_described_is_refused(learned: None) -> None:
     prepared = prepare(surface(), settings)
     sentence = (
         f"--radius and --lrf-radius must hold neighbours, but none of the {len(prepared):,} points of sheet can be "
-        "described with 0.9 and 1e-09; try 1.8 and 2e-09"
+        "described with 1.08 and 1e-09; try 2.2 and 2e-09"
     )
     with pytest.raises(InputError, match=re.escape(sentence)):
         pipeline.describe(prepared, replace(settings, lrf_radius=1e-9))

@@ -18,19 +18,19 @@ from cgf.diagnosis.surfaces import FREE_MOTION, Surface
 
 FAIR_OVERLAP = 0.45
 """All pairs with more register; with these weights, all with more than 0.32."""
-LOW_LIKENESS, FAIR_LIKENESS = 0.2, 0.27
+LOW_LIKENESS, FAIR_LIKENESS = 0.2, 0.24
 """Share of points that look more like their match than like their own cloud: rooms that share half of their points have
-0.27 or more, and below 0.2 none shares more than 0.44."""
+0.24 or more, and below 0.2 none shares more than 0.44."""
 FEATURELESS = 0.003
 """Of a cloud's stability: made planes, spheres and cylinders have less, of 98 pairs none."""
 FEW_DISTINCTIVE = 0.3
-"""Pairs that share half of their points have 0.42 or more."""
-LOW_PRECISION = 0.1
-"""Of matches of points that have a partner; pairs that register have 0.10 or more, the one that fails 0.06."""
+"""Pairs that share half of their points have 0.39 or more."""
+LOW_PRECISION = 0.12
+"""Of matches of points that have a partner; pairs that register have 0.13 or more, the one that fails 0.11."""
 KEPT = 0.15
-"""Share of the best pose's matches that a refined estimate keeps; right ones have 0.55 or more, but for one."""
+"""Share of the best pose's matches that a refined estimate keeps; right ones have 0.61 or more."""
 RIVAL = 0.5
-"""Support of the second pose over that of the first; right poses have 0.44 or less, but for three."""
+"""Support of the second pose over that of the first; right poses have 0.46 or less, but for three."""
 EQUAL, MANY = 0.7, 60
 """A second pose with this share of the first one's matches, of which there are so many, is no chance."""
 SELF_LIKE = 0.25
