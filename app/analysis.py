@@ -30,10 +30,11 @@ Mask = npt.NDArray[np.bool_]
 
 PREVIEWED = ("cgf", "pca")
 """Descriptors that describe a few points in a fraction of the time of all."""
-PREVIEW_S = (0.06, 0.4)
-"""Time to describe the points of the first preview, and of the next one where it is worth while."""
-LARGEST_PREVIEW = 0.4
-"""Share of the points beyond which all of them come nearly as soon."""
+PREVIEWS = ((0.06, 0.4), (0.4, 0.15))
+"""Time to describe the points of the first preview and of the next, in seconds, and of how many of all points at most.
+
+Beyond that share all of them come nearly as soon; the browser, too, takes its time to draw a preview.
+"""
 FEWEST_PREVIEWED = 64
 USUAL_POINTS_PER_S = 4_000.0
 """Until the first description is timed."""
@@ -227,9 +228,9 @@ class Analyst:
             return
         judged = replace(analysis, registration=self._last_registrations.get(analysis.index))
         reference = judged.reference(settings.reference)
-        for seconds in PREVIEW_S:
+        for seconds, largest in PREVIEWS:
             count = max(int(self._points_per_s * seconds / 2), FEWEST_PREVIEWED)
-            if 2 * count > LARGEST_PREVIEW * (len(source) + len(target)):
+            if 2 * count > largest * (len(source) + len(target)):
                 return
             text = f"Preview from {2 * count:,} points"
             job.progress(0.05, text)

@@ -24,7 +24,7 @@ LONG_S = 120.0
 @pytest.fixture
 def session(monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
     """A session that describes 100 points of each cloud first, whatever the machine."""
-    monkeypatch.setattr(analyses, "PREVIEW_S", (1.0,))
+    monkeypatch.setattr(analyses, "PREVIEWS", ((1.0, 0.4),))
     monkeypatch.setattr(analyses, "USUAL_POINTS_PER_S", 200.0)
     session = Session([source_of(hills())], ViewSettings(support_radius=0.8))
     yield session
