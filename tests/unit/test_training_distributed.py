@@ -54,7 +54,9 @@ def test_two_processes_go_on_where_one_was_killed_and_lose_what_it_would_have(tm
 
     def command(name):
         options = ["--scenes", *map(str, scenes), "--model", "indoor", "--steps", "6", "--quiet"]
-        sizes = "--batch 32 --overlaps-per-batch 4 --width 32 --dims 8 16 --checkpoint-every 2"
+        sizes = (
+            "--batch 32 --overlaps-per-batch 4 --width 32 --dims 8 16 --checkpoint-every 2 --insets 0 2 --join-steps 3"
+        )
         return ["train", "-o", str(tmp_path / f"{name}.safetensors"), *options, *sizes.split()]
 
     def kill(share, text):
@@ -71,6 +73,7 @@ def test_two_processes_go_on_where_one_was_killed_and_lose_what_it_would_have(tm
     assert ended.returncode == 0, ended.stderr
     # Steps 3 to 6 in single precision; the sums differ by their order alone.
     np.testing.assert_allclose(losses(tmp_path / "shared"), losses(tmp_path / "alone"), rtol=1e-5)
+    np.testing.assert_allclose(losses(tmp_path / "shared/join"), losses(tmp_path / "alone/join"), rtol=1e-5)
     assert read_network(tmp_path / "shared.safetensors").card.dims == (8, 16)
 
 
