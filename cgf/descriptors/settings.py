@@ -15,6 +15,8 @@ AZIMUTH_BINS = 12
 HISTOGRAM_BINS = RADIAL_BINS * ELEVATION_BINS * AZIMUTH_BINS
 """2,244 bins, radial fastest, azimuth slowest: the sizes validated in the paper."""
 
+MAX_INSET = 15
+"""By how many shells a support may be smaller than the largest: the kernel looks a shell up among 31 edges."""
 COLUMN_BINS = RADIAL_BINS * ELEVATION_BINS
 """Of one azimuth sector."""
 INPUT_GAIN = 16.0

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from cgf.descriptors.settings import MODEL_DEFAULTS, FrameKind, ModelDefaults, ModelName
+from cgf.descriptors.settings import MAX_INSET, MODEL_DEFAULTS, FrameKind, ModelDefaults, ModelName
 
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 
@@ -100,8 +100,8 @@ class TrainSettings:
                 "--min-radius must be above 0 and below --support-radius, got "
                 f"{self.lengths.min_radius:g} and {self.lengths.support_radius:g}"
             )
-        if list(self.insets) != sorted(set(self.insets)) or self.insets[0] != 0:
-            raise ValueError(f"--insets must be 0 and ascending numbers of shells, got {self.insets}")
+        if list(self.insets) != sorted(set(self.insets)) or self.insets[:1] != (0,) or self.insets[-1] > MAX_INSET:
+            raise ValueError(f"--insets must be 0 and ascending numbers up to {MAX_INSET}, got {self.insets}")
         if len(self.insets) > 1 and (self.chosen_network != "azimuth" or not self.contrastive):
             raise ValueError(
                 f"--insets must be 0 but for the azimuth network and contrastive recipe, got {self.insets}"
