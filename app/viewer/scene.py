@@ -1,7 +1,6 @@
 """Puts pictures into viser, sending only what changed."""
 
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -32,7 +31,8 @@ class SceneView:
         self._lines: viser.LineSegmentsHandle | None = None
         self._labels: list[viser.LabelHandle] = []
         self._overlays: list[viser.SceneNodeHandle] = []
-        self._flights = 0
+        self._superseded = threading.Event()
+        """Of the last flight of the cameras: set when another begins."""
         self._lock = threading.Lock()
         server.initial_camera.fov = float(FIELD_OF_VIEW)
         _keep_shaders(server)
@@ -197,8 +197,8 @@ class SceneView:
     def _fly_to(self, picture: Picture) -> None:
         """Bring the focus of the overlays into sight in every tab, along the direction in which it looks already."""
         with self._lock:
-            self._flights += 1
-            flight = self._flights
+            self._superseded.set()
+            superseded = self._superseded = threading.Event()
         routes = []
         for client in self._server.get_clients().values():
             camera = client.camera
@@ -212,11 +212,10 @@ class SceneView:
             share = step / FLIGHT_STEPS
             eased = share * share * (3 - 2 * share)
             for client, before, after in routes:
-                if flight != self._flights:
-                    return
                 position, look_at = ((1 - eased) * a + eased * b for a, b in zip(before, after, strict=True))
                 _aim(client, position, look_at)
-            time.sleep(FLIGHT_S / FLIGHT_STEPS)
+            if superseded.wait(FLIGHT_S / FLIGHT_STEPS):
+                return
 
 
 def _keep_shaders(server: viser.ViserServer) -> None:
