@@ -9,6 +9,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from cgf.descriptors.network import Network, NetworkKind
 from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, INPUT_GAIN, RADIAL_BINS
+from cgf.descriptors.spherical_histogram import shell_edges
 from cgf.types import IsCancelled, raise_if_cancelled
 
 if TYPE_CHECKING:
@@ -75,10 +76,9 @@ def embed_on_device(
     queries = torch.from_numpy((centers - offset).astype(np.float32)).to(device)
     axes = torch.from_numpy(frames.astype(np.float32)).to(device)
     weights = {name: torch.from_numpy(values).to(device) for name, values in network.weights.items()}
-    card, shells = network.card, RADIAL_BINS - 1
-    steps = torch.arange(-max(card.insets), shells, dtype=torch.float64) / shells
-    edges = min_radius * (support_radius / min_radius) ** steps
-    sq_edges = edges.square().float().to(device)
+    card = network.card
+    edges = shell_edges(max(card.insets), support_radius=support_radius, min_radius=min_radius)
+    sq_edges = torch.from_numpy(np.square(edges).astype(np.float32)).to(device)
     # In the order of coarse cells, so that the points of a part lie close together.
     cells = torch.floor(queries / support_radius).long()
     shape = cells.amax(dim=0) + 1 if len(cells) else cells.new_ones(3)

@@ -12,11 +12,11 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS
+from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, MAX_INSET, RADIAL_BINS
 from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
 
-MAX_EDGES = 31
-"""Edges between shells at most: a look-up within registers has 32 places."""
+MAX_EDGES = RADIAL_BINS - 1 + MAX_INSET
+"""Edges between shells at most, 31: a look-up within registers has 32 places."""
 HALF_SECTORS = 2 * AZIMUTH_BINS
 """Azimuth is told to half a sector. The first begins at -x; they turn from there towards -y."""
 

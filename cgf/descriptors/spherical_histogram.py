@@ -61,11 +61,7 @@ class HistogramGrid:
             soft: As for `histograms`.
             insets: Of each support, by how many shells it is smaller; see `nested_scales`.
         """
-        shells = RADIAL_BINS - 1
-        # Quirk: as in the authors' program, shell 0 is everything below `min_radius` and the other 16 are log-spaced
-        # above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
-        growth = self.support_radius / self.min_radius
-        edges = self.min_radius * growth ** (np.arange(-max(insets), shells) / shells)
+        edges = shell_edges(max(insets), support_radius=self.support_radius, min_radius=self.min_radius)
         sq_edges = padded_edges(np.square(edges).astype(np.float32))
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
         rows = np.empty((len(centers), len(insets), HISTOGRAM_BINS), np.float32)
@@ -87,6 +83,14 @@ class HistogramGrid:
 
         for_each_block(fill, len(centers), block=_BLOCK)
         return rows, counts
+
+
+def shell_edges(inset: int, *, support_radius: float, min_radius: float) -> Float64[np.ndarray, "E"]:
+    """Radii between the shells of a support and of the one `inset` shells smaller; `support_radius` ends the last."""
+    # Quirk: as in the authors' program, shell 0 is everything below `min_radius` and the other 16 are log-spaced
+    # above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
+    shells = RADIAL_BINS - 1
+    return np.asarray(min_radius * (support_radius / min_radius) ** (np.arange(-inset, shells) / shells))
 
 
 def nested_scales(insets: tuple[int, ...], *, support_radius: float, min_radius: float) -> tuple[float, ...]:

@@ -186,8 +186,10 @@ def far_modes(
 
 def shell_edges(settings: ResolvedSettings) -> Float64[np.ndarray, "18"]:
     """Radii between the shells of the spherical histogram, from 0 to the support radius, in cloud units."""
-    shares = np.arange(RADIAL_BINS) / (RADIAL_BINS - 1)
-    return np.concatenate([[0.0], settings.min_radius * (settings.support_radius / settings.min_radius) ** shares])
+    from cgf.descriptors import spherical_histogram
+
+    radii = {"support_radius": settings.support_radius, "min_radius": settings.min_radius}
+    return np.concatenate([[0.0], spherical_histogram.shell_edges(0, **radii), [settings.support_radius]])
 
 
 def best_turn(histogram: Histogram, other: Histogram) -> int:
