@@ -36,7 +36,7 @@ def histogram(data: Path | None, points: int, repeats: int, **_: object) -> Resu
     from cgf.geometry.lrf import estimate_lrf
 
     scan = inputs.load_scan(data)
-    cloud, radii = scan.cloud, {"support_radius": scan.support_radius, "min_radius": scan.min_radius}
+    cloud = scan.cloud
     rows = spread(len(cloud), points)
     normals = cloud.normals
     assert normals is not None
@@ -44,7 +44,8 @@ def histogram(data: Path | None, points: int, repeats: int, **_: object) -> Resu
     def compute() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         frames, defined = estimate_lrf(cloud.points, normals, rows, radius=scan.lrf_radius)
         centers = cloud.points[rows[defined]]
-        return histogram_grid(cloud.points, **radii).histograms(centers, frames[defined])[0], centers, frames[defined]
+        grid = histogram_grid(cloud.points, support_radius=scan.support_radius, min_radius=scan.min_radius)
+        return grid.histograms(centers, frames[defined])[0], centers, frames[defined]
 
     ours = measure(compute, repeats)
     result, centers, frames = compute()

@@ -33,7 +33,7 @@ def options_of_card(card: Path, add_options: Callable[[Parser], None]) -> Namesp
     add_options(parser)
     options = parser.parse_args([*words, "--output", content.model])
     # Older cards keep them only here.
-    for name in ("support_radius", "min_radius"):
+    for name in ("support_radius", "min_radius", "histogram"):
         if getattr(options, name) is None:
             setattr(options, name, getattr(content, name))
     return options

@@ -56,8 +56,8 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     recipe.add_argument("--frame", choices=("normal", "paper"), help="default: normal, or paper for the recipe paper")
     recipe.add_argument(
         "--histogram",
-        choices=("roots", "counts"),
-        help="what the network is given (default: roots, or counts for paper)",
+        choices=("normals", "roots", "counts"),
+        help="what the network is given (default: roots and means of normals, or counts for paper)",
     )
     recipe.add_argument("--dims", type=int, nargs="+", metavar="N", help="widths; paper and pca take the last alone")
     recipe.add_argument("--width", type=int, metavar="N", help="channels of the azimuth network (default: 192)")

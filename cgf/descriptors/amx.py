@@ -19,7 +19,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, INPUT_GAIN
+from cgf.descriptors.settings import AZIMUTH_BINS, INPUT_GAIN, HistogramKind
 
 EDGE = 32
 """Rows and columns of a block of sums: two tiles of 16 either way, which leaves four tiles for the factors."""
@@ -88,21 +88,17 @@ def _run(label: int, operand: int) -> str:
     """Assembly of one run of steps: two tiles of rows times two tiles of weights, added to the four sums."""
     return f"""
         movq ${operand}, %rax
-        movq $3, %r10
-        shlq $$4, %r10
-        addq %rax, %r10
-        movq $5, %rcx
+        movq $4, %rcx
     {label}:
-        tileloadd (%rax,$3,1), %tmm4
+        tileloadd (%rax,%r11,1), %tmm4
         tileloadd (%rdx,%r11,1), %tmm6
         tdpbf16ps %tmm6, %tmm4, %tmm0
         tileloadd 1024(%rdx,%r11,1), %tmm7
         tdpbf16ps %tmm7, %tmm4, %tmm1
-        tileloadd (%r10,$3,1), %tmm5
+        tileloadd 1024(%rax,%r11,1), %tmm5
         tdpbf16ps %tmm6, %tmm5, %tmm2
         tdpbf16ps %tmm7, %tmm5, %tmm3
-        addq $$64, %rax
-        addq $$64, %r10
+        addq $$2048, %rax
         addq $$2048, %rdx
         decq %rcx
         jnz {label}b
@@ -115,17 +111,17 @@ _PRODUCTS = f"""
     tilezero %tmm2
     tilezero %tmm3
     movq $$64, %r11
-    movq $4, %rdx
+    movq $3, %rdx
     {_run(1, 0)} {_run(2, 1)} {_run(3, 2)}
-    movq $6, %rax
+    movq $5, %rax
     movq $$128, %r11
     tilestored %tmm0, (%rax,%r11,1)
     tilestored %tmm1, 64(%rax,%r11,1)
     tilestored %tmm2, 2048(%rax,%r11,1)
     tilestored %tmm3, 2112(%rax,%r11,1)
 """
-"""Operands: three addresses of rows, bytes from row to row, address of weights, steps of a run, address of sums."""
-_CLOBBERED = "~{rax},~{rcx},~{rdx},~{r10},~{r11},~{memory},~{dirflag},~{fpsr},~{flags}"
+"""Operands: three addresses of rows, address of weights, steps of a run, address of sums."""
+_CLOBBERED = "~{rax},~{rcx},~{rdx},~{r11},~{memory},~{dirflag},~{fpsr},~{flags}"
 _INT64 = ir.IntType(64)
 
 
@@ -136,33 +132,28 @@ def _assembly(builder: Any, text: str, operands: list[Any], constraints: str) ->
 
 @intrinsic
 @no_type_check
-def _multiply(_context, rows, first, second, third, stride, weights, steps, sums):
+def _multiply(_context, rows, first, second, third, weights, steps, sums):
     """Write into `sums` (32, 32) the products of 32 rows with 32 columns of weights.
 
-    A row consists of three runs of `steps` times 32 numbers, which begin `first`, `second` and `third` into `rows`; the
-    next row's begin `stride` numbers farther.
+    Rows lie in blocks (32, 32), one for each step. Those of three runs of `steps` begin with number `first`, `second`
+    and `third`.
     """
 
     def generate(context, builder, signature, args):
-        def address(place, offset=None):
+        def address(place, block=None):
             data = context.make_array(signature.args[place])(context, builder, args[place]).data
-            return builder.ptrtoint(data if offset is None else builder.gep(data, [offset]), _INT64)
+            number = _INT64(0) if block is None else builder.mul(block, _INT64(EDGE * _DEPTH))
+            return builder.ptrtoint(builder.gep(data, [number]), _INT64)
 
         _assembly(
             builder,
             _PRODUCTS,
-            [
-                *(address(0, args[k]) for k in (1, 2, 3)),
-                builder.shl(args[4], _INT64(1)),
-                address(5),
-                args[6],
-                address(7),
-            ],
-            ",".join(["r"] * 7 + [_CLOBBERED]),
+            [*(address(0, args[k]) for k in (1, 2, 3)), address(4), args[5], address(6)],
+            ",".join(["r"] * 6 + [_CLOBBERED]),
         )
         return context.get_dummy_value()
 
-    return types.void(rows, first, second, third, stride, weights, steps, sums), generate
+    return types.void(rows, first, second, third, weights, steps, sums), generate
 
 
 @intrinsic
@@ -204,87 +195,85 @@ def _rounded(value):
 
 @njit(nogil=True)
 @no_type_check
-def _round(values, rounded):
-    for j in range(len(values)):
-        rounded[j] = _rounded(values[j])
+def _round(values, gain, blocks, row):
+    """Write rounded multiples of `values` into a row of `blocks` (steps, 32, 32)."""
+    whole = len(values) // _DEPTH
+    for step in range(whole):
+        for j in range(_DEPTH):
+            blocks[step, row, j] = _rounded(gain * values[step * _DEPTH + j])
+    for j in range(len(values) - whole * _DEPTH):
+        blocks[whole, row, j] = _rounded(gain * values[whole * _DEPTH + j])
 
 
 @njit(nogil=True)
 @no_type_check
-def _round_roots(shares, rounded):
-    for j in range(len(shares)):
-        rounded[j] = _rounded(np.sqrt(shares[j]) * np.float32(INPUT_GAIN))
-
-
-@njit(nogil=True)
-@no_type_check
-def _activate(sums, bias, rounded, column):
-    """Rectified sums plus bias, into 32 columns of `rounded` from `column` on."""
-    for r in range(EDGE):
-        row = rounded[r]
-        for j in range(EDGE):
-            row[column + j] = _rounded(max(sums[r, j] + bias[column + j], np.float32(0.0)))
-
-
-@njit(nogil=True)
-@no_type_check
-def _activate_and_pool(sums, bias, largest, total, column):
+def _activate(sums, bias, block, rounded):
+    """Rectified sums plus their part of `bias`."""
     for r in range(EDGE):
         for j in range(EDGE):
-            value = max(sums[r, j] + bias[column + j], np.float32(0.0))
-            largest[r, column + j] = max(largest[r, column + j], value)
-            total[r, column + j] += value
+            rounded[r, j] = _rounded(max(sums[r, j] + bias[block * EDGE + j], np.float32(0.0)))
+
+
+@njit(nogil=True)
+@no_type_check
+def _activate_and_pool(sums, bias, block, largest, total):
+    for r in range(EDGE):
+        for j in range(block * EDGE, (block + 1) * EDGE):
+            value = max(sums[r, j - block * EDGE] + bias[j], np.float32(0.0))
+            largest[r, j] = max(largest[r, j], value)
+            total[r, j] += value
 
 
 @njit(nogil=True)
 @no_type_check
 def _convolve(columns, weights, sums, sector, block):
     """The sums of `EDGE` outputs of one sector, from itself and its two neighbours."""
-    plane, stride = columns.shape[1] * columns.shape[2], columns.shape[2]
+    steps = columns.shape[1]
     before, after = (sector + AZIMUTH_BINS - 1) % AZIMUTH_BINS, (sector + 1) % AZIMUTH_BINS
-    _multiply(
-        columns, before * plane, sector * plane, after * plane, stride, weights[block], len(weights[block]) // 3, sums
-    )
+    _multiply(columns, before * steps, sector * steps, after * steps, weights[block], steps, sums)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_hidden(histograms, bins, first, second, third, last, biases, configuration, hidden):
-    inputs = np.zeros((AZIMUTH_BINS, EDGE, len(first[0]) // 3 * _DEPTH), np.uint16)
-    columns = np.empty((AZIMUTH_BINS, EDGE, len(first) * EDGE), np.uint16)
-    others = np.empty((AZIMUTH_BINS, EDGE, len(second) * EDGE), np.uint16)
+def _fill_hidden(histograms, shares, first, second, third, last, biases, configuration, hidden):
+    bins = histograms.shape[1] // AZIMUTH_BINS
+    # Numbers as the tiles take them: for each 32 of them, those of all rows together.
+    inputs = np.zeros((AZIMUTH_BINS, len(first[0]) // 3, EDGE, _DEPTH), np.uint16)
+    columns = np.empty((AZIMUTH_BINS, len(first), EDGE, _DEPTH), np.uint16)
+    others = np.empty((AZIMUTH_BINS, len(second), EDGE, _DEPTH), np.uint16)
     width = len(third) * EDGE
     largest, total = np.empty((EDGE, width), np.float32), np.empty((EDGE, width), np.float32)
-    pooled = np.zeros((1, EDGE, len(last[0]) * _DEPTH), np.uint16)
+    pooled = np.zeros((len(last[0]), EDGE, _DEPTH), np.uint16)
     sums = np.empty((EDGE, EDGE), np.float32)
     run = len(last[0]) // 3
-    share = np.float32(1.0 / AZIMUTH_BINS)
+    one, gain, mean = np.float32(1.0), np.float32(INPUT_GAIN), np.float32(1.0 / AZIMUTH_BINS)
     _configure(configuration)
     for start in range(0, len(histograms), EDGE):
         count = min(EDGE, len(histograms) - start)
         for r in range(count):
             for sector in range(AZIMUTH_BINS):
-                _round_roots(histograms[start + r, sector * bins : (sector + 1) * bins], inputs[sector, r])
+                values = histograms[start + r, sector * bins : (sector + 1) * bins]
+                if shares:
+                    values = np.sqrt(values)
+                _round(values, gain, inputs[sector], r)
         for sector in range(AZIMUTH_BINS):
             for block in range(len(first)):
                 _convolve(inputs, first, sums, sector, block)
-                _activate(sums, biases[0], columns[sector], block * EDGE)
+                _activate(sums, biases[0], block, columns[sector, block])
         for sector in range(AZIMUTH_BINS):
             for block in range(len(second)):
                 _convolve(columns, second, sums, sector, block)
-                _activate(sums, biases[1], others[sector], block * EDGE)
+                _activate(sums, biases[1], block, others[sector, block])
         largest[:], total[:] = np.float32(0.0), np.float32(0.0)
         for sector in range(AZIMUTH_BINS):
             for block in range(len(third)):
                 _convolve(others, third, sums, sector, block)
-                _activate_and_pool(sums, biases[2], largest, total, block * EDGE)
+                _activate_and_pool(sums, biases[2], block, largest, total)
         for r in range(count):
-            _round(largest[r], pooled[0, r])
-            for j in range(width):
-                total[r, j] *= share
-            _round(total[r], pooled[0, r, width:])
+            _round(largest[r], one, pooled, r)
+            _round(total[r], mean, pooled[len(third) :], r)
         for block in range(len(last)):
-            _multiply(pooled, 0, run * _DEPTH, 2 * run * _DEPTH, pooled.shape[2], last[block], run, sums)
+            _multiply(pooled, 0, run, 2 * run, last[block], run, sums)
             for r in range(count):
                 for j in range(min(EDGE, hidden.shape[1] - block * EDGE)):
                     hidden[start + r, block * EDGE + j] = max(sums[r, j] + biases[3][block * EDGE + j], np.float32(0.0))
@@ -300,15 +289,16 @@ class TiledNetwork:
     """Padded with zeros to whole blocks."""
     width: int
     """Of the hidden layer."""
+    histogram: HistogramKind
 
-    def hidden(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
-        """The hidden layer, given the roots of these histograms times `INPUT_GAIN`."""
+    def hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
+        """The hidden layer, given these histograms, or their square roots, times `INPUT_GAIN`."""
         hidden = np.empty((len(histograms), self.width), np.float32)
-        _fill_hidden(histograms, COLUMN_BINS, *self.layers, self.biases, _CONFIGURATION, hidden)
+        _fill_hidden(histograms, self.histogram == "roots", *self.layers, self.biases, _CONFIGURATION, hidden)
         return hidden
 
 
-def pack_network(weights: dict[str, Float32[np.ndarray, "..."]]) -> TiledNetwork:
+def pack_network(weights: dict[str, Float32[np.ndarray, "..."]], histogram: HistogramKind) -> TiledNetwork:
     """Pack the three convolutions and the hidden layer of an azimuth network."""
     layers = [pack_weights(weights[f"columns.{k}.weight"]) for k in range(3)]
     # The maximum and the mean over the sectors, each padded as the sums of the third layer are.
@@ -319,4 +309,4 @@ def pack_network(weights: dict[str, Float32[np.ndarray, "..."]]) -> TiledNetwork
     layers.append(pack_weights(both))
     biases = [weights[f"{name}.bias"] for name in ("columns.0", "columns.1", "columns.2", "hidden")]
     padded = [np.pad(bias, (0, len(layer) * EDGE - len(bias))) for bias, layer in zip(biases, layers, strict=True)]
-    return TiledNetwork(tuple(layers), tuple(padded), len(weight))
+    return TiledNetwork(tuple(layers), tuple(padded), len(weight), histogram)

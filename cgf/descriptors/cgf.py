@@ -1,5 +1,7 @@
 """Features from spherical histograms: the learned CGF, and their principal components."""
 
+import threading
+
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
 from threadpoolctl import threadpool_limits
@@ -7,13 +9,13 @@ from threadpoolctl import threadpool_limits
 from cgf.descriptors.device import embed_on_device, requested_device
 from cgf.descriptors.network import Network, load_network, unit_rows
 from cgf.descriptors.pooling import pool_features
-from cgf.descriptors.settings import DescriptorSettings
+from cgf.descriptors.settings import DescriptorSettings, histogram_size
 from cgf.descriptors.spherical_histogram import histogram_grid
 from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.parallel import for_each_block
 from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
 
-_BLOCK = 96
+_BLOCK = 64
 """Points described at a time by one thread; what the network computes for them stays in the processor's cache."""
 
 
@@ -69,15 +71,30 @@ class HistogramDescriptor:
         device = requested_device()
         if device is not None:
             return self._describe_on(device, cloud, rows, frames, progress=progress, cancelled=cancelled)
-        grid = histogram_grid(cloud.points, support_radius=settings.support_radius, min_radius=settings.min_radius)
+        oriented = card.histogram == "normals"
+        grid = histogram_grid(
+            cloud.points,
+            support_radius=settings.support_radius,
+            min_radius=settings.min_radius,
+            normals=cloud.normals if oriented else None,
+        )
         vectors = np.empty((len(rows), card.dims[-1]), np.float32)
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         filled = np.ones(len(rows), dtype=np.bool_)
 
+        kept = threading.local()
+
         def fill(part: slice) -> None:
             raise_if_cancelled(cancelled)
-            centers = cloud.points[rows[part]]
-            histograms, counts = grid.nested_histograms(centers, frames[part], soft=card.soft, insets=card.insets)
+            if not hasattr(kept, "room"):
+                kept.room = np.empty(_BLOCK * len(card.insets) * histogram_size(card.histogram), np.float32)
+            around = {"centers": cloud.points[rows[part]], "frames": frames[part]}
+            if oriented:
+                histograms, counts = grid.oriented_histograms(**around, insets=card.insets, room=kept.room)
+            else:
+                histograms, counts = grid.nested_histograms(
+                    **around, soft=card.soft, insets=card.insets, room=kept.room
+                )
             vectors[part], judged = self.network.embed_and_judge(histograms)
             if quality is not None:
                 quality[part] = judged
@@ -107,7 +124,7 @@ class HistogramDescriptor:
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         counts = np.empty(len(rows), np.int64)
         for part, embedded, judged, found in embed_on_device(
-            cloud.points,
+            cloud,
             cloud.points[rows],
             frames,
             self.network,

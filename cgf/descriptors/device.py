@@ -8,9 +8,16 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
 from cgf.descriptors.network import Network, NetworkKind
-from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, INPUT_GAIN, RADIAL_BINS
+from cgf.descriptors.settings import (
+    AZIMUTH_BINS,
+    ELEVATION_BINS,
+    INPUT_GAIN,
+    RADIAL_BINS,
+    TILT_STEPS,
+    HistogramKind,
+)
 from cgf.descriptors.spherical_histogram import shell_edges
-from cgf.types import IsCancelled, raise_if_cancelled
+from cgf.types import IsCancelled, PointCloud, raise_if_cancelled
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -42,7 +49,7 @@ def requested_device() -> str | None:
 
 
 def embed_on_device(
-    points: Float64[np.ndarray, "N 3"],
+    cloud: PointCloud,
     centers: Float64[np.ndarray, "K 3"],
     frames: Float64[np.ndarray, "K 3 3"],
     network: Network,
@@ -57,8 +64,8 @@ def embed_on_device(
     """Describe `centers` part by part.
 
     Args:
-        points: The cloud, in cloud units.
-        centers: Points to describe.
+        cloud: With normals, if the network's histograms have them.
+        centers: Points to describe, in cloud units.
         frames: Rows are x, y, z.
         network: Any kind.
         support_radius: Of the sphere described, in cloud units.
@@ -71,8 +78,12 @@ def embed_on_device(
     """
     import torch
 
-    offset = points.min(axis=0)
-    cloud = torch.from_numpy((points - offset).astype(np.float32)).to(device)
+    offset = cloud.points.min(axis=0)
+    points = torch.from_numpy((cloud.points - offset).astype(np.float32)).to(device)
+    normals = None
+    if network.card.histogram == "normals":
+        assert cloud.normals is not None
+        normals = torch.from_numpy(cloud.normals.astype(np.float32)).to(device)
     queries = torch.from_numpy((centers - offset).astype(np.float32)).to(device)
     axes = torch.from_numpy(frames.astype(np.float32)).to(device)
     weights = {name: torch.from_numpy(values).to(device) for name, values in network.weights.items()}
@@ -87,16 +98,23 @@ def embed_on_device(
         for rows in torch.split(order, _CENTERS):
             raise_if_cancelled(cancelled)
             low, high = queries[rows].amin(dim=0), queries[rows].amax(dim=0)
-            near = cloud[((cloud >= low - support_radius) & (cloud <= high + support_radius)).all(dim=1)]
+            is_near = ((points >= low - support_radius) & (points <= high + support_radius)).all(dim=1)
+            near, near_normals = points[is_near], None if normals is None else normals[is_near]
             parts = [
                 _histograms(
-                    near, queries[part], axes[part], sq_edges, support_radius, soft=card.soft, insets=card.insets
+                    near,
+                    near_normals,
+                    queries[part],
+                    axes[part],
+                    sq_edges,
+                    support_radius,
+                    soft=card.soft,
+                    insets=card.insets,
                 )
                 for part in torch.split(rows, max(_PAIRS // max(len(near), 1), 1))
             ]
             histograms, counts = (torch.cat(column) for column in zip(*parts, strict=True))
-            values = histograms.sqrt() * INPUT_GAIN if card.root else histograms
-            vectors, logits = forward(card.kind, values, weights)
+            vectors, logits = forward(card.kind, card.histogram, histograms, weights)
             if card.nested:
                 vectors = torch.nn.functional.normalize(vectors, dim=1)
             quality = None if logits is None else logits.sigmoid().cpu().numpy()
@@ -105,6 +123,7 @@ def embed_on_device(
 
 def _histograms(
     points: "Tensor",
+    normals: "Tensor | None",
     centers: "Tensor",
     frames: "Tensor",
     sq_edges: "Tensor",
@@ -113,7 +132,7 @@ def _histograms(
     soft: bool,
     insets: tuple[int, ...],
 ) -> "tuple[Tensor, Tensor]":
-    """What `cgf.descriptors.spherical_histogram` computes, (K, S, 2244), for every pair of a centre and a point."""
+    """What `cgf.descriptors.spherical_histogram` computes, (K, S, B), for every pair of a centre and a point."""
     import torch
 
     offsets = points[None] - centers[:, None]
@@ -127,36 +146,55 @@ def _histograms(
     sector = turn.long() % _HALF_SECTORS
     shells = len(sq_edges) + 1
     column = shell + shells * elevation.long().clamp(max=ELEVATION_BINS - 1)
-    size = shells * ELEVATION_BINS
-    bins = (rows * _HALF_SECTORS + sector) * size + column
-    hits = torch.bincount(bins, minlength=len(centers) * _HALF_SECTORS * size).float()
-    halves = hits.view(len(centers), AZIMUTH_BINS, 2, size)
-    sectors = halves.sum(dim=2)
+    bins = (rows * _HALF_SECTORS + sector) * shells * ELEVATION_BINS + column
+    counted = [torch.ones_like(sq)]
+    if normals is not None:
+        counted += _tilts(torch.einsum("pij,pj->pi", frames[rows], normals[columns]), local)
+    size = len(centers) * _HALF_SECTORS * shells * ELEVATION_BINS
+    hits = torch.stack([torch.bincount(bins, weights=values, minlength=size).float() for values in counted])
+    halves = hits.view(len(counted), len(centers), AZIMUTH_BINS, 2, ELEVATION_BINS, shells)
+    sectors = halves.sum(dim=3)
     if soft:
-        beside = halves[:, :, 1].roll(1, dims=1) + halves[:, :, 0].roll(-1, dims=1)
+        beside = halves[:, :, :, 1].roll(1, dims=2) + halves[:, :, :, 0].roll(-1, dims=2)
         sectors = 0.75 * sectors + 0.25 * beside
-    sectors = sectors.view(-1, AZIMUTH_BINS, ELEVATION_BINS, shells)
     supports = []
     for inset in insets:
         merged = shells - RADIAL_BINS - inset
         support = sectors[..., merged : merged + RADIAL_BINS].clone()
-        support[..., 0] += sectors[..., :merged].sum(dim=3)
-        support = support.reshape(-1, HISTOGRAM_BINS)
-        supports.append(support / support.sum(dim=1, keepdim=True).clamp(min=1))
+        support[..., 0] += sectors[..., :merged].sum(dim=4)
+        support /= support[0].sum(dim=(1, 2, 3)).clamp(min=1).view(-1, 1, 1, 1)
+        if normals is not None:
+            roots = support[0].sqrt()
+            support = torch.cat([roots[None], support[1:] / roots.clamp(min=1e-20)])
+        supports.append(support.permute(1, 2, 0, 3, 4).reshape(len(centers), -1))
     return torch.stack(supports, dim=1), torch.bincount(rows, minlength=len(centers))
 
 
-def forward(kind: "NetworkKind", values: "Tensor", weights: "dict[str, Tensor]") -> "tuple[Tensor, Tensor | None]":
-    """Map (K, S, 2244) or (K, 2244) histograms, or their roots, to (K, D), not normalised, and (K,) logits of quality.
+def _tilts(normals: "Tensor", offsets: "Tensor") -> "list[Tensor]":
+    """Components of normals, all in the frames of their centres: along z, away from the z axis and around it."""
+    import torch
+
+    x, y = torch.nn.functional.normalize(offsets[:, :2], dim=1, eps=1e-15).unbind(dim=1)
+    components = (normals[:, 2], normals[:, 0] * x + normals[:, 1] * y, normals[:, 1] * x - normals[:, 0] * y)
+    return [torch.floor(value.clamp(-1, 1) * TILT_STEPS + 0.5) / TILT_STEPS for value in components]
+
+
+def forward(
+    kind: "NetworkKind", histogram: "HistogramKind", histograms: "Tensor", weights: "dict[str, Tensor]"
+) -> "tuple[Tensor, Tensor | None]":
+    """Map (K, S, B) or (K, B) histograms to (K, D), not normalised, and (K,) logits of quality.
 
     Autograd and autocast work through it; the quality's gradient stops at the layer that it shares with the features.
     """
     from torch.nn.functional import linear, normalize, relu
 
-    count, values = len(values), values.reshape(-1, HISTOGRAM_BINS)
+    count, values = len(histograms), histograms.reshape(-1, histograms.shape[-1])
+    if histogram == "roots":
+        values = values.sqrt()
+    gain = 1.0 if histogram == "counts" else INPUT_GAIN
     if kind == "pca":
         return (values - weights["mean"]) @ weights["components"].T, None
-    hidden = _azimuth_hidden(values, weights) if kind == "azimuth" else _paper_hidden(values, weights)
+    hidden = _azimuth_hidden(values, gain, weights) if kind == "azimuth" else _paper_hidden(values, gain, weights)
     vectors = linear(hidden, weights["out.weight"], weights["out.bias"])
     if "join.weight" in weights:
         vectors = linear(normalize(vectors, dim=1).view(count, -1), weights["join.weight"])
@@ -166,25 +204,29 @@ def forward(kind: "NetworkKind", values: "Tensor", weights: "dict[str, Tensor]")
     return vectors, linear(judged, weights["quality.1.weight"], weights["quality.1.bias"])[:, 0]
 
 
-def _azimuth_hidden(roots: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
+def _azimuth_hidden(values: "Tensor", gain: float, weights: "dict[str, Tensor]") -> "Tensor":
     import torch
     from torch.nn.functional import linear, relu
 
-    # Azimuth first, so that turning it moves whole blocks.
-    columns = roots.view(len(roots), AZIMUTH_BINS, -1).transpose(0, 1).contiguous()
+    columns = values.view(len(values), AZIMUTH_BINS, -1)
+    if torch.is_autocast_enabled(columns.device.type):
+        # Once, where each product would do so for itself.
+        columns = columns.to(torch.get_autocast_dtype(columns.device.type))
     for i in range(3):
-        # As linear and roll: a circular convolution of torch is nine times slower on processors.
+        # As linear and roll: a circular convolution of torch is nine times slower on processors. The gain multiplies
+        # the weights, which are fewer.
         weight, bias = weights[f"columns.{i}.weight"], weights[f"columns.{i}.bias"]
-        taps = weight.view(len(weight), 3, -1).transpose(0, 1).reshape(3 * len(weight), -1)
-        before, same, after = torch.chunk(linear(columns, taps), 3, dim=2)
-        columns = relu(before.roll(1, dims=0) + same + after.roll(-1, dims=0) + bias)
-    pooled = torch.cat([columns.amax(dim=0), columns.mean(dim=0)], dim=1)
+        taps = (gain * weight if i == 0 else weight).chunk(3, dim=1)
+        before, same, after = linear(columns, taps[0]), linear(columns, taps[1], bias), linear(columns, taps[2])
+        columns = relu(before.roll(1, dims=1) + same + after.roll(-1, dims=1))
+    pooled = torch.cat([columns.amax(dim=1), columns.mean(dim=1)], dim=1)
     return relu(linear(pooled, weights["hidden.weight"], weights["hidden.bias"]))
 
 
-def _paper_hidden(values: "Tensor", weights: "dict[str, Tensor]") -> "Tensor":
+def _paper_hidden(values: "Tensor", gain: float, weights: "dict[str, Tensor]") -> "Tensor":
     from torch.nn.functional import linear, relu
 
+    values = gain * values
     for i in range(5):
         values = relu(linear(values, weights[f"layers.{i}.weight"], weights[f"layers.{i}.bias"]))
     return values

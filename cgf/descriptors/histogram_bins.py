@@ -8,11 +8,12 @@ from typing import Any, no_type_check
 
 import numpy as np
 from jaxtyping import Float32
+from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, MAX_INSET, RADIAL_BINS
+from cgf.descriptors.settings import AZIMUTH_BINS, CHANNELS, ELEVATION_BINS, MAX_INSET, RADIAL_BINS, TILT_STEPS
 from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
 
 MAX_EDGES = RADIAL_BINS - 1 + MAX_INSET
@@ -28,6 +29,8 @@ _TURN_COSINES, _TURN_SINES = np.cos(_TURNS).astype(np.float32), np.sin(_TURNS).a
 _SQ_LEAST = np.float32(1e-15)
 """Nothing as near as this is a neighbour: it is the centre."""
 _UNROLLED = 4
+_SQ_UPRIGHT = np.float32(1e-30)
+"""Added to the squared distance from the axis, so that there is a direction away from it everywhere."""
 
 
 def padded_edges(sq_edges: Float32[np.ndarray, "E"]) -> Float32[np.ndarray, "P"]:
@@ -81,6 +84,65 @@ def find_bins(_context, dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bi
         return context.get_dummy_value()
 
     return types.none(dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins), generate
+
+
+@intrinsic
+@no_type_check
+def find_tilts(_context, offsets, normals, count, frame, low, high):
+    """Write the components of the normals of `count` neighbours: along z, away from the z axis, and around it.
+
+    Each is counted in steps from 0 for -1 to `2 * TILT_STEPS` for 1. The first stands in the upper half of `low`, above
+    a 1, which counts the neighbour; the other two stand in `high`.
+    """
+
+    def generate(context, builder, signature, arguments):
+        write = Writer(context, builder)
+        offsets, normals, count, frame, low, high = write.unpack(signature, arguments)
+        with write.steps(INT64(0), count, LANES) as (i, _):
+            offset, normal = ([write.load_each(base, i) for base in bases] for bases in (offsets, normals))
+            axes = [[write.load(frame, INT64(3 * row + d)) for d in range(3)] for row in range(3)]
+            x, y = (write.dot(offset, axis) for axis in axes[:2])
+            nx, ny, nz = (write.dot(normal, axis) for axis in axes)
+            distance = write.call(f"llvm.sqrt.v{LANES}f32", x * x + y * y + write.repeat(_SQ_UPRIGHT))
+            inverse = write.repeat(1.0) / distance
+            away, around = (nx * x + ny * y) * inverse, (ny * x - nx * y) * inverse
+            along, away, around = (_in_steps(write, component) for component in (nz, away, around))
+            half = Lanes(builder, ir.Constant(along.value.type, [32] * LANES))
+            write.store_each(write.repeat(1).to_longs() | along << half, low, i)
+            write.store_each(away | around << half, high, i)
+        return context.get_dummy_value()
+
+    return types.none(offsets, normals, count, frame, low, high), generate
+
+
+@intrinsic
+@no_type_check
+def fill_channels(_context, sums, start, scale, row, to, stride):
+    """Write what an oriented histogram holds of the 16 bins whose sums begin at `sums[start]`.
+
+    Channels go to `row[to]`, `row[to + stride]` and so on. `scale` makes a bin's count its share of the neighbours.
+    """
+
+    def generate(context, builder, signature, arguments):
+        write = Writer(context, builder)
+        sums, start, scale, row, to, stride = write.unpack(signature, arguments)
+        scale, tiny, step = write.repeat(scale), write.repeat(1e-20), write.repeat(1 / TILT_STEPS)
+        together = [write.load_each(sums, builder.add(start, INT64(LANES * k))) for k in range(CHANNELS)]
+        count, *tilts = (write.every_fourth(together, channel).to_floats() for channel in range(CHANNELS))
+        root = write.call(f"llvm.sqrt.v{LANES}f32", scale * count)
+        part = scale / write.call(f"llvm.maxnum.v{LANES}f32", root, tiny)
+        for value in (root, *(part * (step * tilt - count) for tilt in tilts)):
+            write.store_each(value, row, to)
+            to = builder.add(to, stride)
+        return context.get_dummy_value()
+
+    return types.none(sums, start, scale, row, to, stride), generate
+
+
+def _in_steps(write: Writer, component: Lanes) -> Lanes:
+    kept = write.call(f"llvm.minnum.v{LANES}f32", component, write.repeat(1.0))
+    kept = write.call(f"llvm.maxnum.v{LANES}f32", kept, write.repeat(-1.0))
+    return (kept * write.repeat(float(TILT_STEPS)) + write.repeat(TILT_STEPS + 0.5)).rounded_down().to_longs()
 
 
 def _find_shells(write: Writer, sq_distances: Lanes, sq_edges: Any, edges: Any) -> Lanes:

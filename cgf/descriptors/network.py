@@ -16,13 +16,14 @@ from jaxtyping import Float32
 
 from cgf.descriptors.settings import (
     AZIMUTH_BINS,
-    COLUMN_BINS,
     HISTOGRAM_BINS,
     INPUT_GAIN,
     MODEL_DEFAULTS,
     FrameKind,
+    HistogramKind,
     ModelDefaults,
     ModelName,
+    histogram_size,
 )
 
 if TYPE_CHECKING:
@@ -55,8 +56,8 @@ class NetworkCard:
     training: dict[str, Any] = field(default_factory=dict)
     config: dict[str, Any] = field(default_factory=dict)
     """Settings of `cgf train`, which `cgf train --config` reads; folders by their names."""
-    root: bool = True
-    """Whether the network takes the square root of the histogram, times `INPUT_GAIN`."""
+    histogram: HistogramKind = "normals"
+    """What the network takes; all but counts are multiplied by `INPUT_GAIN`."""
     nested: bool = True
     """Whether features are compared at unit length, and those of fewer dimensions are prefixes of those of more."""
     pooled: bool = True
@@ -92,8 +93,9 @@ class NetworkCard:
         try:
             values = json.loads(text)
             # Cards written before these could be chosen.
-            learned = dict.fromkeys(("root", "nested", "pooled"), values["kind"] == "azimuth")
-            values = learned | values
+            learned = dict.fromkeys(("nested", "pooled"), values["kind"] == "azimuth")
+            has_roots = values.pop("root", values["kind"] == "azimuth")
+            values = learned | {"histogram": "roots" if has_roots else "counts"} | values
             for name in ("dims", "voxel_sizes", "insets"):
                 if name in values:
                     values[name] = tuple(values[name])
@@ -119,8 +121,8 @@ class Network:
                     f"{name} must have shape {shape}, got {found}"
                 )
 
-    def embed(self, histograms: Float32[np.ndarray, "K *S 2244"]) -> Float32[np.ndarray, "K D"]:
-        """Map histograms, which sum to 1, to vectors of the largest of the card's dimensions.
+    def embed(self, histograms: Float32[np.ndarray, "K *S B"]) -> Float32[np.ndarray, "K D"]:
+        """Map histograms of the card's kind to vectors of the largest of the card's dimensions.
 
         Nested ones are unit length, and so is every prefix once it is divided by its length.
 
@@ -130,11 +132,11 @@ class Network:
         return self.embed_and_judge(histograms)[0]
 
     def embed_and_judge(
-        self, histograms: Float32[np.ndarray, "K *S 2244"]
+        self, histograms: Float32[np.ndarray, "K *S B"]
     ) -> tuple[Float32[np.ndarray, "K D"], Float32[np.ndarray, "K"] | None]:
         """The vectors of `embed`, and the quality of each as in `Features.quality`, if the network was taught it."""
         weights, count = self.weights, len(histograms)
-        rows = histograms.reshape(-1, HISTOGRAM_BINS)
+        rows = histograms.reshape(-1, histograms.shape[-1])
         if self.card.kind == "pca":
             # Projection on the principal components of training histograms: the paper's linear baseline.
             return (rows - weights["mean"]) @ weights["components"].T, None
@@ -154,14 +156,16 @@ class Network:
         """Whether the network was taught the quality of its features."""
         return "quality.0.bias" in self.weights
 
-    def _hidden(self, histograms: Float32[np.ndarray, "K 2244"]) -> Float32[np.ndarray, "K H"]:
+    def _hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
         if self.card.kind == "azimuth":
             # Compiled, so imported only where features are computed: reading a card takes no time.
             from cgf.descriptors import amx
 
             if amx.uses_tiles():
                 return self._tiled.hidden(histograms)
-        values = np.sqrt(histograms) * np.float32(INPUT_GAIN) if self.card.root else histograms
+        values = histograms
+        if self.card.histogram != "counts":
+            values = (np.sqrt(values) if self.card.histogram == "roots" else values) * np.float32(INPUT_GAIN)
         if self.card.kind == "paper":
             return _paper_hidden(values, self.weights)
         return _azimuth_hidden(values, self._filtered)
@@ -170,7 +174,7 @@ class Network:
     def _tiled(self) -> "TiledNetwork":
         from cgf.descriptors.amx import pack_network
 
-        return pack_network(self.weights)
+        return pack_network(self.weights, self.card.histogram)
 
     @cached_property
     def _filtered(self) -> Weights:
@@ -189,7 +193,8 @@ def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int,
         shapes = _layers({f"layers.{i}": shape for i, shape in enumerate(pairwise([HISTOGRAM_BINS, *[512] * 5]))})
         hidden = 512
     else:
-        widths = [COLUMN_BINS, *(len(weights.get(f"columns.{i}.bias", ())) for i in range(3))]
+        channels = [len(weights.get(f"columns.{i}.bias", ())) for i in range(3)]
+        widths = [histogram_size(card.histogram) // AZIMUTH_BINS, *channels]
         hidden = len(weights.get("hidden.bias", ()))
         shapes = _layers({f"columns.{i}": (3 * a, b) for i, (a, b) in enumerate(pairwise(widths))})
         shapes |= _layers({"hidden": (2 * widths[-1], hidden)})
@@ -215,12 +220,12 @@ def unit_rows(vectors: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K D"]
     return vectors / np.where(length > 0, length, np.float32(1.0))
 
 
-def _azimuth_hidden(roots: Float32[np.ndarray, "K 2244"], weights: Weights) -> Float32[np.ndarray, "K H"]:
+def _azimuth_hidden(roots: Float32[np.ndarray, "K B"], weights: Weights) -> Float32[np.ndarray, "K H"]:
     """Circular convolutions over the 12 azimuth columns, then their maximum and mean: turning x changes little."""
     from cgf.descriptors.convolution import convolve_circularly
 
     # Azimuth first, so that a column of all points is one matrix.
-    columns = np.ascontiguousarray(roots.reshape(-1, AZIMUTH_BINS, COLUMN_BINS).transpose(1, 0, 2))
+    columns = np.ascontiguousarray(roots.reshape(len(roots), AZIMUTH_BINS, -1).transpose(1, 0, 2))
     for i in range(3):
         columns = convolve_circularly(columns, weights[f"tiles.{i}"], weights[f"columns.{i}.bias"])
     pooled = np.concatenate([columns.max(axis=0), columns.mean(axis=0)], axis=1)
@@ -263,11 +268,15 @@ def read_network(path: Path) -> Network:
 
 
 def write_network(path: Path, network: Network) -> None:
-    """Write the weights and, beside them, their card."""
+    """Write the weights, in half precision where that loses nothing, and, beside them, their card."""
     from safetensors.numpy import save
 
+    halves = {name: values.astype(np.float16) for name, values in network.weights.items()}
+    stored = {
+        name: half if (half == network.weights[name]).all() else network.weights[name] for name, half in halves.items()
+    }
     # Not its `save_file`, whose files nobody else may read.
-    path.write_bytes(save(network.weights))
+    path.write_bytes(save(stored))
     path.with_suffix(".json").write_text(network.card.to_json())
 
 

@@ -8,6 +8,8 @@ from cgf.checks import check_count
 
 ModelName = Literal["object", "indoor"]
 FrameKind = Literal["normal", "paper"]
+HistogramKind = Literal["normals", "roots", "counts"]
+"""What a network is given: shares of the neighbours, their square roots, or those and means of normals beside them."""
 
 RADIAL_BINS = 17
 ELEVATION_BINS = 11
@@ -19,6 +21,17 @@ MAX_INSET = 15
 """By how many shells a support may be smaller than the largest: the kernel looks a shell up among 31 edges."""
 COLUMN_BINS = RADIAL_BINS * ELEVATION_BINS
 """Of one azimuth sector."""
+CHANNELS = 4
+"""Of an oriented histogram: the root of each bin's share, and means of three components of its neighbours' normals."""
+TILT_STEPS = 31
+"""Of an oriented histogram: the components of normals are told to this part of 1."""
+
+
+def histogram_size(histogram: HistogramKind) -> int:
+    """Numbers that a network is given of one support."""
+    return HISTOGRAM_BINS * (CHANNELS if histogram == "normals" else 1)
+
+
 INPUT_GAIN = 16.0
 """The square root of a histogram has unit length over 2,244 bins; this brings its entries to the order of 1."""
 

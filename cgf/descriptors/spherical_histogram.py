@@ -7,8 +7,16 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from numba import njit
 
-from cgf.descriptors.histogram_bins import HALF_SECTORS, find_bins, padded_edges
-from cgf.descriptors.settings import AZIMUTH_BINS, ELEVATION_BINS, HISTOGRAM_BINS, RADIAL_BINS
+from cgf.descriptors.histogram_bins import HALF_SECTORS, fill_channels, find_bins, find_tilts, padded_edges
+from cgf.descriptors.settings import (
+    AZIMUTH_BINS,
+    CHANNELS,
+    COLUMN_BINS,
+    ELEVATION_BINS,
+    HISTOGRAM_BINS,
+    RADIAL_BINS,
+    TILT_STEPS,
+)
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
 from cgf.geometry.lanes import LANES, gather_offsets, scale_counts
 from cgf.geometry.parallel import for_each_block
@@ -28,6 +36,8 @@ class HistogramGrid:
     grid: Grid
     support_radius: float
     min_radius: float
+    normals: Float32[np.ndarray, "3 M"] | None = None
+    """In the order of the grid."""
 
     def histograms(
         self, centers: Float64[np.ndarray, "K 3"], frames: Float64[np.ndarray, "K 3 3"], *, soft: bool = False
@@ -52,6 +62,7 @@ class HistogramGrid:
         *,
         soft: bool,
         insets: tuple[int, ...],
+        room: Float32[np.ndarray, "_"] | None = None,
     ) -> tuple[Float32[np.ndarray, "K S 2244"], Int64[np.ndarray, "K"]]:
         """Histograms of several supports around each centre, as `histograms` gives them, for little more than one.
 
@@ -60,18 +71,58 @@ class HistogramGrid:
             frames: Rows are x, y, z.
             soft: As for `histograms`.
             insets: Of each support, by how many shells it is smaller; see `nested_scales`.
+            room: Memory for the histograms; new memory, which takes about as long to get as to fill, if None.
         """
+        return self._filled(centers, frames, soft=soft, insets=insets, normals=None, room=room)
+
+    def oriented_histograms(
+        self,
+        centers: Float64[np.ndarray, "K 3"],
+        frames: Float64[np.ndarray, "K 3 3"],
+        *,
+        insets: tuple[int, ...],
+        room: Float32[np.ndarray, "_"] | None = None,
+    ) -> tuple[Float32[np.ndarray, "K S 8976"], Int64[np.ndarray, "K"]]:
+        """Histograms of several supports with the normals of each bin's neighbours, and the number of neighbours.
+
+        Each of 12 soft azimuth sectors holds four times 187 values: the square roots of the bins' shares of the
+        neighbours; then, times these roots, means of the components of the neighbours' normals along z, away from the
+        z axis and around it. Components are told to a 31st. Bins without neighbours hold zeros.
+
+        Args:
+            centers: In cloud units.
+            frames: Rows are x, y, z.
+            insets: As for `nested_histograms`.
+            room: As for `nested_histograms`.
+        """
+        assert self.normals is not None
+        return self._filled(centers, frames, soft=True, insets=insets, normals=tuple(self.normals), room=room)
+
+    def _filled(
+        self,
+        centers: Float64[np.ndarray, "K 3"],
+        frames: Float64[np.ndarray, "K 3 3"],
+        *,
+        soft: bool,
+        insets: tuple[int, ...],
+        normals: tuple[Float32[np.ndarray, "M"], ...] | None,
+        room: Float32[np.ndarray, "_"] | None,
+    ) -> tuple[Float32[np.ndarray, "K S B"], Int64[np.ndarray, "K"]]:
         edges = shell_edges(max(insets), support_radius=self.support_radius, min_radius=self.min_radius)
         sq_edges = padded_edges(np.square(edges).astype(np.float32))
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
-        rows = np.empty((len(centers), len(insets), HISTOGRAM_BINS), np.float32)
+        size = HISTOGRAM_BINS * (1 if normals is None else CHANNELS)
+        shape = (len(centers), len(insets), size)
+        rows = np.empty(shape, np.float32) if room is None else room[: np.prod(shape)].reshape(shape)
         counts = np.empty(len(centers), np.int64)
 
         def fill(part: slice) -> None:
             _fill_histograms(
                 centers_32[part],
                 frames_32[part],
-                *self.grid.arguments(),
+                tuple(self.grid.xyz),
+                normals,
+                *self.grid.cells(),
                 np.float32(self.support_radius),
                 sq_edges,
                 len(edges),
@@ -99,39 +150,58 @@ def nested_scales(insets: tuple[int, ...], *, support_radius: float, min_radius:
     return tuple(growth ** (-inset / (RADIAL_BINS - 1)) for inset in insets)
 
 
-def histogram_grid(points: Float64[np.ndarray, "N 3"], *, support_radius: float, min_radius: float) -> HistogramGrid:
+def histogram_grid(
+    points: Float64[np.ndarray, "N 3"],
+    *,
+    support_radius: float,
+    min_radius: float,
+    normals: Float64[np.ndarray, "N 3"] | None = None,
+) -> HistogramGrid:
     """Prepare `points` for histograms.
 
     Args:
         points: Finite, in cloud units.
         support_radius: Of the sphere described, in cloud units; the paper takes 17 % of the diameter, or 1.2 m.
         min_radius: Everything nearer falls into the innermost shell; the paper takes 1.5 % of the diameter, or 0.1 m.
+        normals: Of unit length; oriented histograms need them.
 
     Raises:
         ValueError: The radii are not positive and increasing.
     """
     if not 0 < min_radius < support_radius:
         raise ValueError(f"min_radius must lie between 0 and support_radius ({support_radius:g}), got {min_radius:g}")
-    return HistogramGrid(build_grid(points, cell_size=support_radius / 4), support_radius, min_radius)
+    grid = build_grid(points, cell_size=support_radius / 4)
+    sorted_normals = None if normals is None else grid.sorted_columns(normals)
+    return HistogramGrid(grid, support_radius, min_radius, sorted_normals)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
 def _fill_histograms(
-    centers, frames, xs, ys, zs, starts, shape, cell_size, radius, sq_edges, edges, soft, insets, rows, counts
+    centers, frames, points, normals, starts, shape, cell_size, radius, sq_edges, edges, soft, insets, rows, counts
 ):
     sq_radius = radius * radius
     size = _GATHERED + LANES
-    dx, dy, dz = np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32)
+    offsets = (np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32))
     bins = np.empty(size, np.uint32)
     shells = edges + 1
-    hits = np.empty(HALF_SECTORS * ELEVATION_BINS * shells + 1, np.int32)
-    quarters = np.empty((AZIMUTH_BINS, ELEVATION_BINS * shells), np.int32)
+    columns = ELEVATION_BINS * shells
+    if normals is None:
+        hits = np.empty(HALF_SECTORS * columns + 1, np.int32)
+        quarters = np.empty((AZIMUTH_BINS, columns), np.int32)
+    else:
+        tilts = (np.empty(size, np.float32), np.empty(size, np.float32), np.empty(size, np.float32))
+        low, high = np.empty(size, np.int64), np.empty(size, np.int64)
+        sums = np.empty((HALF_SECTORS * columns + 1, CHANNELS // 2), np.int64)
+        quarters = np.empty((AZIMUTH_BINS, columns * CHANNELS), np.int32)
     for k in range(len(centers)):
         px, py, pz = centers[k, 0], centers[k, 1], centers[k, 2]
         first_y, last_y = cell_range(py, radius, cell_size, shape[1])
         first_z, last_z = cell_range(pz, radius, cell_size, shape[2])
-        hits[:] = 0
+        if normals is None:
+            hits[:] = 0
+        else:
+            sums[:] = 0
         gathered = total = 0
         for cz in range(first_z, last_z + 1):
             gap_z = axis_gap(pz, cz, cell_size)
@@ -148,39 +218,69 @@ def _fill_histograms(
                 i, end = starts[cell + first_x], starts[cell + last_x + 1]
                 while i < end:
                     stop = min(end, i + _RUN)
-                    gathered = gather_offsets(xs, ys, zs, i, stop, centers[k], sq_radius, dx, dy, dz, gathered)
+                    if normals is None:
+                        gathered = gather_offsets(points, i, stop, centers[k], sq_radius, offsets, gathered)
+                    else:
+                        gathered = gather_offsets(
+                            points + normals, i, stop, centers[k], sq_radius, offsets + tilts, gathered
+                        )
                     i = stop
                     if gathered > _GATHERED - _RUN:
-                        _count_hits(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, edges, bins, hits)
+                        find_bins(*offsets, gathered, frames[k], sq_radius, sq_edges, edges, bins)
+                        if normals is None:
+                            _count_hits(bins, gathered, hits)
+                        else:
+                            find_tilts(offsets, tilts, gathered, frames[k], low, high)
+                            _add_tilts(bins, low, high, gathered, sums)
                         total += gathered
                         gathered = 0
-        _count_hits(dx, dy, dz, gathered, frames[k], sq_radius, sq_edges, edges, bins, hits)
-        counts[k] = total + gathered - hits[-1]
-        _add_half_sectors(hits[:-1].reshape(HALF_SECTORS, -1), soft, quarters)
-        for support in range(len(insets)):
-            _cut_support(quarters.reshape(-1), shells, counts[k], insets[support], rows[k, support])
+        find_bins(*offsets, gathered, frames[k], sq_radius, sq_edges, edges, bins)
+        if normals is None:
+            _count_hits(bins, gathered, hits)
+            counts[k] = total + gathered - hits[-1]
+            _add_half_sectors(hits[:-1].reshape(HALF_SECTORS, -1), soft, quarters)
+            for support in range(len(insets)):
+                _cut_support(quarters.reshape(-1), shells, counts[k], insets[support], rows[k, support])
+        else:
+            find_tilts(offsets, tilts, gathered, frames[k], low, high)
+            _add_tilts(bins, low, high, gathered, sums)
+            counts[k] = total + gathered - (sums[-1, 0] & 0xFFFFFFFF)
+            _add_half_sectors(sums[:-1].reshape(-1).view(np.int32).reshape(HALF_SECTORS, -1), soft, quarters)
+            for support in range(len(insets)):
+                _cut_oriented(quarters.reshape(-1), shells, counts[k], insets[support], rows[k, support])
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _count_hits(dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins, hits):
-    find_bins(dx, dy, dz, count, frame, sq_radius, sq_edges, edges, bins)
+def _count_hits(bins, count, hits):
     for i in range(count):
         hits[bins[i]] += 1
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def _add_tilts(bins, low, high, count, hits):
+    for i in range(count):
+        hits[bins[i], 0] += low[i]
+        hits[bins[i], 1] += high[i]
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def _add_half_sectors(hits, soft, quarters):
     """Four times what each sector counts."""
-    # Triangles of two sectors' width around the middle of each, averaged over half sectors.
-    inner, outer = (np.int32(3), np.int32(1)) if soft else (np.int32(4), np.int32(0))
     for sector in range(AZIMUTH_BINS):
         i = 2 * sector
         before, first, second, after = hits[i - 1], hits[i], hits[i + 1], hits[(i + 2) % HALF_SECTORS]
         column = quarters[sector]
-        for j in range(len(column)):
-            column[j] = inner * (first[j] + second[j]) + outer * (before[j] + after[j])
+        if soft:
+            # Triangles of two sectors' width around the middle of each, averaged over half sectors.
+            for j in range(len(column)):
+                within = first[j] + second[j]
+                column[j] = within + within + within + before[j] + after[j]
+        else:
+            for j in range(len(column)):
+                column[j] = (first[j] + second[j]) << np.int32(2)
 
 
 @njit(cache=True, nogil=True)
@@ -201,3 +301,35 @@ def _cut_support(quarters, shells, count, inset, row):
             merged += quarters[j]
         row[to] = scale * np.float32(merged)
         scale_counts(quarters, start + innermost + 1, scale, row, to + 1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@no_type_check
+def _cut_oriented(quarters, shells, count, inset, row):
+    """As `_cut_support`, of sums that stand together for each bin."""
+    total = 4 * count
+    if inset > 0:
+        for start in range(0, len(quarters), shells * CHANNELS):
+            for j in range(start + (shells - inset) * CHANNELS, start + shells * CHANNELS, CHANNELS):
+                total -= quarters[j]
+    scale = np.float32(1.0) / np.float32(max(total, 1))
+    surplus = shells - inset - RADIAL_BINS
+    step = np.float32(1.0 / TILT_STEPS)
+    for place in range(AZIMUTH_BINS * ELEVATION_BINS):
+        start = place * shells * CHANNELS
+        sector, elevation = divmod(place, ELEVATION_BINS)
+        to = sector * COLUMN_BINS * CHANNELS + elevation * RADIAL_BINS
+        innermost, along, away, around = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
+        for j in range(start, start + (surplus + 1) * CHANNELS, CHANNELS):
+            innermost += quarters[j]
+            along += quarters[j + 1]
+            away += quarters[j + 2]
+            around += quarters[j + 3]
+        merged = np.float32(innermost)
+        root = np.sqrt(scale * merged)
+        part = scale / max(root, np.float32(1e-20))
+        row[to] = root
+        row[to + COLUMN_BINS] = part * (step * np.float32(along) - merged)
+        row[to + 2 * COLUMN_BINS] = part * (step * np.float32(away) - merged)
+        row[to + 3 * COLUMN_BINS] = part * (step * np.float32(around) - merged)
+        fill_channels(quarters, start + (surplus + 1) * CHANNELS, scale, row, to + 1, COLUMN_BINS)

@@ -31,7 +31,17 @@ class Grid:
 
     def arguments(self) -> tuple[Any, ...]:
         """What a compiled loop takes: x, y, z, starts, shape, cell size."""
-        return (*self.xyz, self.starts, self.shape, np.float32(self.cell_size))
+        return (*self.xyz, *self.cells())
+
+    def cells(self) -> tuple[Any, ...]:
+        """What a compiled loop takes beside the points: starts, shape, cell size."""
+        return (self.starts, self.shape, np.float32(self.cell_size))
+
+    def sorted_columns(self, vectors: Float64[np.ndarray, "N 3"]) -> Float32[np.ndarray, "3 M"]:
+        """One vector a point in the order and with the padding of `xyz`."""
+        columns = np.zeros_like(self.xyz)
+        columns[:, : len(vectors)] = vectors[self.order].T
+        return columns
 
     def local(self, points: Float64[np.ndarray, "K 3"]) -> Float32[np.ndarray, "K 3"]:
         """`points` in the grid's single-precision coordinates."""

@@ -19,6 +19,7 @@ LANES = 16
 
 INT32, INT64 = ir.IntType(32), ir.IntType(64)
 _FLOATS, _INTS = ir.VectorType(ir.FloatType(), LANES), ir.VectorType(INT32, LANES)
+_LONGS = ir.VectorType(INT64, LANES)
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,15 @@ class Lanes:
 
     def __mul__(self, other: "Lanes") -> "Lanes":
         return self._joined("mul", other)
+
+    def __truediv__(self, other: "Lanes") -> "Lanes":
+        return Lanes(self.builder, self.builder.fdiv(self.value, other.value))
+
+    def __or__(self, other: "Lanes") -> "Lanes":
+        return Lanes(self.builder, self.builder.or_(self.value, other.value))
+
+    def __lshift__(self, other: "Lanes") -> "Lanes":
+        return Lanes(self.builder, self.builder.shl(self.value, other.value))
 
     def __and__(self, other: "Lanes") -> "Lanes":
         return Lanes(self.builder, self.builder.and_(self.value, other.value))
@@ -55,6 +65,13 @@ class Lanes:
     def to_ints(self) -> "Lanes":
         """1 where true, else 0."""
         return Lanes(self.builder, self.builder.zext(self.value, _INTS))
+
+    def to_longs(self) -> "Lanes":
+        return Lanes(self.builder, self.builder.zext(self.value, _LONGS))
+
+    def rounded_down(self) -> "Lanes":
+        """Integers, of numbers that are not negative."""
+        return Lanes(self.builder, self.builder.fptosi(self.value, _INTS))
 
     def to_floats(self) -> "Lanes":
         return Lanes(self.builder, self.builder.sitofp(self.value, _FLOATS))
@@ -79,14 +96,17 @@ class Writer:
         """Whether the processor that is compiled for can look values up in registers, and move some together."""
 
     def unpack(self, signature: Any, arguments: Any) -> list[Any]:
-        """Pointers to the data of arrays, which are contiguous, and other arguments as they are."""
-        assert all(kind.layout == "C" for kind in signature.args if isinstance(kind, types.Array))
-        return [
-            self.context.make_array(kind)(self.context, self.builder, value).data
-            if isinstance(kind, types.Array)
-            else value
-            for kind, value in zip(signature.args, arguments, strict=True)
-        ]
+        """Pointers to the data of arrays, which are contiguous, also of tuples of them; other arguments as they are."""
+        return [self._unpacked(kind, value) for kind, value in zip(signature.args, arguments, strict=True)]
+
+    def _unpacked(self, kind: Any, value: Any) -> Any:
+        if isinstance(kind, types.UniTuple):
+            parts = cgutils.unpack_tuple(self.builder, value)  # type: ignore[no-untyped-call]
+            return [self._unpacked(kind.dtype, part) for part in parts]
+        if not isinstance(kind, types.Array):
+            return value
+        assert kind.layout == "C"
+        return self.context.make_array(kind)(self.context, self.builder, value).data
 
     def steps(self, start: Any, end: Any, step: int) -> Any:
         """A loop; entering it gives the index."""
@@ -139,6 +159,20 @@ class Writer:
         """Of the 32 numbers in two vectors, those at `indices`; only where `wide`."""
         return self.call("llvm.x86.avx512.vpermi2var.ps.512", low, indices, high)
 
+    def every_fourth(self, together: Sequence[Lanes], first: int) -> Lanes:
+        """Of the 64 numbers in four vectors, every fourth from number `first` on."""
+        low, high = (
+            self.builder.shuffle_vector(
+                together[k].value,
+                together[k + 1].value,
+                ir.Constant(_INTS, [(4 * lane + first) % (2 * LANES) for lane in range(LANES)]),
+            )
+            for k in (0, 2)
+        )
+        half = LANES // 2
+        both = [*range(half), *range(LANES, LANES + half)]
+        return Lanes(self.builder, self.builder.shuffle_vector(low, high, ir.Constant(_INTS, both)))
+
     def count_true(self, lanes: Lanes) -> Any:
         bits = Lanes(self.builder, self.builder.bitcast(lanes.value, ir.IntType(LANES)))
         return self.builder.zext(self.call(f"llvm.ctpop.i{LANES}", bits).value, INT64)
@@ -149,31 +183,33 @@ class Writer:
 
 @intrinsic
 @no_type_check
-def gather_offsets(_context, xs, ys, zs, start, end, center, sq_radius, dx, dy, dz, count):
+def gather_offsets(_context, columns, start, end, center, sq_radius, gathered, count):
     """Append the offsets from `center` of points `start` to `end` to the `count` there are; return how many there are.
 
-    Those of points outside the radius are left out where that costs the processor nothing.
+    Those of points outside the radius are left out where that costs the processor nothing. The first three `columns`
+    are x, y and z; others are appended as they are, each to its own array of `gathered`.
     """
 
     def generate(context, builder, signature, arguments):
         write = Writer(context, builder)
-        *points, start, end, center, sq_radius, dx, dy, dz, count = write.unpack(signature, arguments)
+        columns, start, end, center, sq_radius, gathered, count = write.unpack(signature, arguments)
         total = cgutils.alloca_once(builder, INT64)
         builder.store(count, total)
         with write.steps(start, end, LANES) as (i, _):
-            offsets = [write.load_each(base, i) - write.load(center, INT64(d)) for d, base in enumerate(points)]
+            values = [write.load_each(base, i) for base in columns]
+            values[:3] = [value - write.load(center, INT64(d)) for d, value in enumerate(values[:3])]
             filled, taken = builder.load(total), INT64(LANES)
             if write.wide:
-                wanted = write.repeat(sq_radius) >= write.dot(offsets, offsets)
+                wanted = write.repeat(sq_radius) >= write.dot(values[:3], values[:3])
                 wanted &= write.first_lanes(builder.sub(end, i))
-                offsets = [write.move_together(offset, wanted) for offset in offsets]
+                values = [write.move_together(value, wanted) for value in values]
                 taken = write.count_true(wanted)
-            for offset, base in zip(offsets, (dx, dy, dz), strict=True):
-                write.store_each(offset, base, filled)
+            for value, base in zip(values, gathered, strict=True):
+                write.store_each(value, base, filled)
             builder.store(builder.add(filled, taken), total)
         return builder.load(total) if write.wide else builder.add(count, builder.sub(end, start))
 
-    return types.int64(xs, ys, zs, start, end, center, sq_radius, dx, dy, dz, count), generate
+    return types.int64(columns, start, end, center, sq_radius, gathered, count), generate
 
 
 @intrinsic

@@ -114,7 +114,7 @@ def _gather_ball(query, xs, ys, zs, starts, shape, cell_size, radius, dx, dy, dz
         for cy in range(first_y, last_y + 1):
             row = (cz * shape[1] + cy) * shape[0]
             start, end = starts[row + first_x], starts[row + last_x + 1]
-            count = gather_offsets(xs, ys, zs, start, end, query, sq_radius, dx, dy, dz, count)
+            count = gather_offsets((xs, ys, zs), start, end, query, sq_radius, (dx, dy, dz), count)
     return count
 
 

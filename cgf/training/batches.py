@@ -21,8 +21,8 @@ from cgf.types import PointCloud
 class Batch:
     """Histograms of corresponding points: row i of the source belongs to row i of the target."""
 
-    source: Float32[np.ndarray, "N *S 2244"]
-    target: Float32[np.ndarray, "N *S 2244"]
+    source: Float32[np.ndarray, "N *S W"]
+    target: Float32[np.ndarray, "N *S W"]
     ignored: Bool[np.ndarray, "B B"]
     """Entries that are no negatives: near the true partner, or from another overlap of the same scene.
 
@@ -48,17 +48,19 @@ class Batches:
         seed: int,
         share: slice = slice(None),
         insets: tuple[int, ...] = (0,),
+        oriented: bool = False,
         joined: bool = False,
     ) -> None:
         """Of the supports smaller by `insets`, each overlap is described in one, or, if `joined`, in all.
 
+        Histograms are `oriented`, with soft azimuth sectors if the frame is random, or as in the paper.
         `share` says which of the `per_batch` overlaps' histograms are computed; others do without.
         """
         self.fragments = fragments
         self.support_radius, self.min_radius, self.tau = support_radius, min_radius, tau
         self.lrf_radius, self.frame = lrf_radius, frame
         self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
-        self.insets, self.joined = insets, joined
+        self.insets, self.oriented, self.joined = insets, oriented, joined
         self._scales = nested_scales(insets, support_radius=support_radius, min_radius=min_radius)
         self._own = range(per_batch)[share]
         self._scenes: dict[int, list[Overlap]] = {}
@@ -122,22 +124,29 @@ class Batches:
         factor: float,
         shape: Float64[np.ndarray, "3 3"],
         rng: np.random.Generator,
-    ) -> Float32[np.ndarray, "K *S 2244"]:
+    ) -> Float32[np.ndarray, "K *S B"]:
         """Histograms of the augmented cloud, which the linear map `shape` has brought into another shape and frame."""
         assert cloud.normals is not None
         points, normals = cloud.points @ shape.T, cloud.normals @ np.linalg.inv(shape)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         support_radius = self.support_radius * factor
-        kept = points[self.augmentation.draw_kept(points, support_radius, rng)]
-        grid = histogram_grid(kept, support_radius=support_radius, min_radius=self.min_radius * factor)
+        kept = self.augmentation.draw_kept(points, support_radius, rng)
+        grid = histogram_grid(
+            points[kept],
+            support_radius=support_radius,
+            min_radius=self.min_radius * factor,
+            normals=normals[kept] if self.oriented else None,
+        )
         frames = self.augmentation.draw_frames(normals[rows], rng)
         if self.frame != "random":
             estimated, defined = estimate_lrf(points, normals, rows, radius=self.lrf_radius, kind=self.frame)
             frames = np.where(defined[:, None, None], estimated, frames)
-        soft = self.frame == "random"
-        if self.joined:
-            return grid.nested_histograms(points[rows], frames, soft=soft, insets=self.insets)[0]
-        return grid.histograms(points[rows], frames, soft=soft)[0]
+        insets = self.insets if self.joined else (0,)
+        if self.oriented:
+            histograms, _ = grid.oriented_histograms(points[rows], frames, insets=insets)
+        else:
+            histograms, _ = grid.nested_histograms(points[rows], frames, soft=self.frame == "random", insets=insets)
+        return histograms if self.joined else histograms[:, 0]
 
 
 def _reversed(overlap: Overlap) -> Overlap:

@@ -7,43 +7,42 @@ from torch import Tensor, nn
 
 from cgf.descriptors.device import forward
 from cgf.descriptors.network import NetworkKind
-from cgf.descriptors.settings import COLUMN_BINS, HISTOGRAM_BINS, INPUT_GAIN
+from cgf.descriptors.settings import AZIMUTH_BINS, HISTOGRAM_BINS, HistogramKind, histogram_size
 
 _JUDGE_WIDTH = 64
 
 
 class FeatureNetwork(nn.Module):
-    """What the networks share: the input's square root, the last linear layer, and the estimate of quality.
+    """What the networks share: the kind of histogram, the last linear layer, and the estimate of quality.
 
     The output is not normalised: the loss and `Network.embed` divide the prefixes by their lengths.
     """
 
-    def __init__(self, kind: NetworkKind, *, hidden: int, dim: int, root: bool, judges: bool) -> None:
+    def __init__(self, kind: NetworkKind, histogram: HistogramKind, *, hidden: int, dim: int, judges: bool) -> None:
         super().__init__()
-        self.kind, self.root = kind, root
+        self.kind, self.histogram = kind, histogram
         self.out = nn.Linear(hidden, dim)
         if judges:
             self.quality = _judge(hidden)
 
     def forward(self, histograms: Tensor) -> Tensor:
-        """Map (K, 2244) histograms to (K, dim), and where quality is judged to (K, dim + 1): the last is its logit.
+        """Map (K, B) histograms to (K, dim), and where quality is judged to (K, dim + 1): the last is its logit.
 
-        A joined network takes (K, S, 2244).
+        A joined network takes (K, S, B).
         """
-        values = histograms.sqrt() * INPUT_GAIN if self.root else histograms
-        vectors, logits = forward(self.kind, values, dict(self.named_parameters()))
+        vectors, logits = forward(self.kind, self.histogram, histograms, dict(self.named_parameters()))
         return vectors if logits is None else torch.cat([vectors, logits[:, None]], dim=1)
 
 
 class AzimuthNetwork(FeatureNetwork):
     """Three circular convolutions over azimuth columns, maximum and mean over them, two linear layers.
 
-    It takes the roots of histograms with soft azimuth sectors.
+    It takes histograms with soft azimuth sectors.
     """
 
-    def __init__(self, dim: int, *, width: int, judges: bool = True) -> None:
-        super().__init__("azimuth", hidden=2 * width, dim=dim, root=True, judges=judges)
-        widths = [COLUMN_BINS, width, width, width]
+    def __init__(self, dim: int, *, width: int, histogram: HistogramKind = "normals", judges: bool = True) -> None:
+        super().__init__("azimuth", histogram, hidden=2 * width, dim=dim, judges=judges)
+        widths = [histogram_size(histogram) // AZIMUTH_BINS, width, width, width]
         self.columns = nn.ModuleList(nn.Linear(3 * a, b) for a, b in pairwise(widths))
         self.hidden = nn.Linear(2 * width, 2 * width)
 
@@ -68,8 +67,8 @@ def _judge(hidden: int) -> nn.ModuleList:
 class PaperNetwork(FeatureNetwork):
     """Five hidden layers of 512, initialised as in the paper: normal weights of deviation 0.1."""
 
-    def __init__(self, dim: int, *, root: bool = False, judges: bool = False) -> None:
-        super().__init__("paper", hidden=512, dim=dim, root=root, judges=judges)
+    def __init__(self, dim: int, *, histogram: HistogramKind = "counts", judges: bool = False) -> None:
+        super().__init__("paper", histogram, hidden=512, dim=dim, judges=judges)
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise([HISTOGRAM_BINS, *[512] * 5]))
         for layer in [*self.layers, self.out]:
             nn.init.normal_(layer.weight, std=0.1)

@@ -62,7 +62,7 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
         min_radius=defaults.min_radius,
         lrf_radius=defaults.lrf_radius,
         voxel_sizes=settings.voxel_sizes or (defaults.voxel_size,),
-        root=settings.takes_roots and not pca,
+        histogram=settings.chosen_histogram,
         nested=settings.contrastive,
         pooled=settings.contrastive,
         insets=settings.insets,
@@ -83,6 +83,7 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
             "steps": trained.steps,
             "support_radius": defaults.support_radius,
             "min_radius": defaults.min_radius,
+            "histogram": settings.chosen_histogram,
         },
     )
     network = Network(card, trained.weights)
@@ -139,6 +140,7 @@ def _contrastive(
         seed=settings.seed,
         share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
         insets=settings.insets,
+        oriented=settings.chosen_histogram == "normals",
     )
 
     def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:
@@ -193,9 +195,10 @@ def _paper(
 
 def _network(settings: TrainSettings) -> FeatureNetwork:
     """The network that `settings` ask for, not trained."""
+    dim, histogram, judges = settings.dims[-1], settings.chosen_histogram, settings.contrastive
     if settings.chosen_network == "azimuth":
-        return AzimuthNetwork(settings.dims[-1], width=settings.width, judges=settings.contrastive)
-    return PaperNetwork(settings.dims[-1], root=settings.takes_roots, judges=settings.contrastive)
+        return AzimuthNetwork(dim, width=settings.width, histogram=histogram, judges=judges)
+    return PaperNetwork(dim, histogram=histogram, judges=judges)
 
 
 def _pca(
@@ -248,7 +251,8 @@ def _loop(settings: TrainSettings, fragments: Fragments, *, steps: int, learning
 
 
 def _weights(module: nn.Module) -> dict[str, np.ndarray]:
-    return {name: value.detach().cpu().numpy().astype(np.float32) for name, value in module.state_dict().items()}
+    """Rounded to half precision, in which they are written: more digits than bfloat16 products take."""
+    return {name: value.detach().cpu().half().float().numpy() for name, value in module.state_dict().items()}
 
 
 _TRAIN = {"contrastive": _contrastive, "paper": _paper, "pca": _pca}

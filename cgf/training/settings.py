@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from cgf.descriptors.settings import MAX_INSET, MODEL_DEFAULTS, FrameKind, ModelDefaults, ModelName
+from cgf.descriptors.settings import MAX_INSET, MODEL_DEFAULTS, FrameKind, HistogramKind, ModelDefaults, ModelName
 
 DeviceChoice = Literal["auto", "cpu", "cuda", "mps"]
 
@@ -29,8 +29,11 @@ class TrainSettings:
     """None stands for `azimuth` (contrastive) or the paper's five hidden layers."""
     frame: FrameKind | None = None
     """Whose local reference frames; None stands for `normal` (contrastive) or `paper`."""
-    histogram: Literal["roots", "counts"] | None = None
-    """What the network is given of a histogram; None stands for square roots (contrastive) or counts."""
+    histogram: HistogramKind | None = None
+    """What the network is given of a histogram: shares, their square roots, or also the neighbours' normals.
+
+    None stands for `normals` (contrastive, azimuth network), `roots` (one of these two) or `counts`.
+    """
     dims: tuple[int, ...] = (8, 16, 24, 32, 64)
     """Widths of the feature; the recipes `paper` and `pca` take the last alone."""
     width: int = 192
@@ -106,6 +109,14 @@ class TrainSettings:
             raise ValueError(
                 f"--insets must be 0 but for the azimuth network and contrastive recipe, got {self.insets}"
             )
+        possible: tuple[HistogramKind, ...] = ("roots", "counts")
+        if self.chosen_network == "azimuth":
+            possible = ("normals", "roots") if self.contrastive else ("roots",)
+        if self.recipe != "pca" and self.chosen_histogram not in possible:
+            raise ValueError(
+                f"--histogram must be {' or '.join(possible)} for the {self.chosen_network} network and the recipe "
+                f"{self.recipe}, got {self.histogram}"
+            )
         if self.join_steps < 1:
             raise ValueError(f"--join-steps must be 1 or more, got {self.join_steps}")
         for name in ("stretch", "mirror", "holes", "cut"):
@@ -134,10 +145,14 @@ class TrainSettings:
         return self.frame or ("normal" if self.contrastive else "paper")
 
     @property
-    def takes_roots(self) -> bool:
-        """Whether the network is given square roots; the azimuth network always is."""
-        chosen = self.histogram or ("roots" if self.contrastive else "counts")
-        return chosen == "roots" or self.chosen_network == "azimuth"
+    def chosen_histogram(self) -> HistogramKind:
+        if self.histogram is not None:
+            return self.histogram
+        if self.recipe == "pca":
+            return "counts"
+        if self.chosen_network == "azimuth":
+            return "normals" if self.contrastive else "roots"
+        return "roots" if self.contrastive else "counts"
 
 
 def _as_json(value: Any) -> Any:

@@ -5,13 +5,9 @@ import pytest
 
 from cgf.descriptors import amx
 from cgf.descriptors.network import read_network, shipped_weights
+from tests.histograms import random_histograms
 
 tiles = pytest.mark.skipif(not amx.has_tiles(), reason="the processor multiplies no tiles of bfloat16 (AMX)")
-
-
-def histograms(count):
-    rows = np.random.default_rng(5).random((count, 2244), dtype=np.float32) ** 8
-    return rows / rows.sum(axis=1, keepdims=True)
 
 
 def as_float(rounded):
@@ -27,16 +23,16 @@ def network_by_definition(weights, rows):
     def layer(inputs, name):
         return np.maximum(rounded(inputs) @ rounded(weights[f"{name}.weight"]).T + weights[f"{name}.bias"], 0)
 
-    columns = (16 * np.sqrt(rows)).reshape(len(rows), 12, -1)
+    columns = (16 * (np.sqrt(rows) if rows.shape[1] == 2244 else rows)).reshape(len(rows), 12, -1)
     for k in range(3):
         around = [np.roll(columns, 1, axis=1), columns, np.roll(columns, -1, axis=1)]
         columns = layer(np.concatenate(around, axis=2), f"columns.{k}")
     return layer(np.concatenate([columns.max(axis=1), columns.mean(axis=1)], axis=1), "hidden")
 
 
-def random_weights(width, hidden):
+def random_weights(width, hidden, inputs):
     rng = np.random.default_rng(6)
-    shapes = {"columns.0": (width, 561), "columns.1": (width, 3 * width), "columns.2": (width, 3 * width)}
+    shapes = {"columns.0": (width, 3 * inputs // 12), "columns.1": (width, 3 * width), "columns.2": (width, 3 * width)}
     shapes["hidden"] = (hidden, 2 * width)
     weights = {}
     for name, (outputs, inputs) in shapes.items():
@@ -52,13 +48,12 @@ def test_rounding_is_to_the_nearest_and_ties_go_to_even():
 
 
 @tiles
+@pytest.mark.parametrize("histogram", ["roots", "normals"])
 @pytest.mark.parametrize(("count", "width", "hidden"), [(1, 192, 384), (32, 32, 64), (75, 24, 40), (33, 100, 97)])
-def test_equals_the_definition_for_any_number_of_points_and_channels(count, width, hidden):
-    weights = random_weights(width, hidden)
-    found, expected = (
-        amx.pack_network(weights).hidden(histograms(count)),
-        network_by_definition(weights, histograms(count)),
-    )
+def test_equals_the_definition_for_any_number_of_points_and_channels(histogram, count, width, hidden):
+    rows = random_histograms(count, histogram)
+    weights = random_weights(width, hidden, rows.shape[1])
+    found, expected = amx.pack_network(weights, histogram).hidden(rows), network_by_definition(weights, rows)
     # Sums differ in the last digit of single precision, which may round a value the other way.
     np.testing.assert_allclose(found, expected, atol=0.01)
     assert np.abs(found - expected).mean() < 1e-4
@@ -68,7 +63,8 @@ def test_equals_the_definition_for_any_number_of_points_and_channels(count, widt
 @pytest.mark.parametrize("model", ["object", "indoor"])
 def test_features_are_those_of_single_precision(model, monkeypatch):
     network = read_network(shipped_weights(f"cgf-{model}"))
-    rows = histograms(200).reshape(-1, len(network.card.insets), 2244)
+    rows = random_histograms(200, network.card.histogram)
+    rows = rows.reshape(200 // len(network.card.insets), len(network.card.insets), -1)
     monkeypatch.setenv("CGF_PRECISION", "float32")
     exact, exact_quality = network.embed_and_judge(rows)
     monkeypatch.setenv("CGF_PRECISION", "bfloat16")

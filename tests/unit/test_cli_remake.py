@@ -91,7 +91,7 @@ def test_every_setting_can_be_read_from_a_card(tmp_path):
     content = json.loads(shipped_weights("cgf-object").with_suffix(".json").read_text())
     settings = TrainSettings(
         output=tmp_path / "a.safetensors", meshes=tmp_path / "meshes", steps=3, temperature=0.1, support_radius=0.3,
-        min_radius=0.02, insets=(0, 2),
+        min_radius=0.02, insets=(0, 2), histogram="roots",
     )  # fmt: skip
     (tmp_path / "a.json").write_text(json.dumps(content | {"config": settings.config()}))
     found = options("--config", str(tmp_path / "a.json"), "--data-root", str(tmp_path), "-o", str(settings.output))

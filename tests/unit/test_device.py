@@ -31,7 +31,7 @@ def test_features_are_those_of_the_processor(name, device, monkeypatch):
     rows = rows[defined]
     found = np.empty((len(rows), descriptor.network.card.dims[-1]), np.float32)
     parts = embed_on_device(
-        cloud.points,
+        cloud,
         cloud.points[rows],
         frames[defined],
         descriptor.network,

@@ -20,12 +20,11 @@ FRAME = np.array([[0, 0, 1], [-1, 0, 0], [0, 1, 0]], np.float32)
 
 @njit
 def gathered(xyz, runs, center, sq_radius):
-    offsets = np.zeros((3, xyz.shape[1] + LANES), np.float32)
+    offsets = np.zeros((4, xyz.shape[1] + LANES), np.float32)
     count = 0
     for start, end in runs:
-        count = gather_offsets(
-            xyz[0], xyz[1], xyz[2], start, end, center, sq_radius, offsets[0], offsets[1], offsets[2], count
-        )
+        columns, to = (xyz[0], xyz[1], xyz[2], xyz[1]), (offsets[0], offsets[1], offsets[2], offsets[3])
+        count = gather_offsets(columns, start, end, center, sq_radius, to, count)
     return offsets, count
 
 
@@ -73,7 +72,8 @@ def check_runs():
     starts = np.cumsum(np.arange(97))
     runs = np.stack([starts, np.append(starts[1:], count)], axis=1)
     offsets, filled = gathered(np.pad(points, ((0, 0), (0, LANES))), runs, CENTER, RADIUS**2)
-    offsets = offsets[:, :filled]
+    offsets, copied = offsets[:3, :filled], offsets[3, :filled]
+    np.testing.assert_array_equal(copied, offsets[1] + CENTER[1])
     wanted = points - CENTER[:, None]
     is_near = [np.square(values).sum(axis=0) <= RADIUS**2 for values in (offsets, wanted)]
     np.testing.assert_array_equal(offsets[:, is_near[0]], wanted[:, is_near[1]])

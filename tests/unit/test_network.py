@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from cgf.descriptors.network import (
-    HISTOGRAM_BINS,
     Network,
     NetworkCard,
     read_network,
@@ -14,6 +13,7 @@ from cgf.descriptors.network import (
     write_network,
 )
 from cgf.descriptors.settings import MODEL_DEFAULTS
+from tests.histograms import random_histograms
 
 AZIMUTH = NetworkCard(
     kind="azimuth",
@@ -26,7 +26,7 @@ AZIMUTH = NetworkCard(
     lrf_radius=0.02,
     voxel_sizes=(0.006,),
 )
-PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", root=False, nested=False, pooled=False)
+PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", histogram="counts", nested=False, pooled=False)
 
 CARDS = {"azimuth": AZIMUTH, "paper": PAPER, "joined": replace(AZIMUTH, insets=(0, 3))}
 
@@ -44,18 +44,15 @@ def torch_network(kind):
     return module, Network(CARDS[kind], weights)
 
 
-def histograms(count=20):
-    rows = np.random.default_rng(2).random((count, HISTOGRAM_BINS), dtype=np.float32) ** 8
-    return rows / rows.sum(axis=1, keepdims=True)
-
-
 @pytest.mark.parametrize("kind", ["azimuth", "paper", "joined"])
 def test_inference_equals_torch(kind, monkeypatch):
     import torch
 
     monkeypatch.setenv("CGF_PRECISION", "float32")
     module, network = torch_network(kind)
-    rows = histograms().reshape(10, 2, -1) if kind == "joined" else histograms()
+    rows = random_histograms(20, network.card.histogram)
+    if kind == "joined":
+        rows = rows.reshape(10, 2, -1)
     expected = module(torch.from_numpy(rows)).detach().numpy()
     vectors, quality = network.embed_and_judge(rows)
     nested = kind != "paper"
@@ -67,8 +64,8 @@ def test_inference_equals_torch(kind, monkeypatch):
 
 def test_turning_by_a_sector_changes_nothing():
     network = torch_network("azimuth")[1]
-    rows = histograms()
-    turned = np.roll(rows.reshape(-1, 12, 187), 5, axis=1).reshape(-1, HISTOGRAM_BINS)
+    rows = random_histograms(20, "normals")
+    turned = np.roll(rows.reshape(20, 12, -1), 5, axis=1).reshape(20, -1)
     np.testing.assert_allclose(network.embed(turned), network.embed(rows), atol=1e-5)
 
 
@@ -77,7 +74,19 @@ def test_weights_survive_writing_and_reading(tmp_path):
     write_network(tmp_path / "a.safetensors", network)
     again = read_network(tmp_path / "a.safetensors")
     assert again.card == network.card
-    np.testing.assert_array_equal(again.embed(histograms()), network.embed(histograms()))
+    rows = random_histograms(20, "normals")
+    np.testing.assert_array_equal(again.embed(rows), network.embed(rows))
+
+
+def test_weights_of_half_precision_take_half_the_room(tmp_path):
+    network = torch_network("azimuth")[1]
+    rounded = {name: values.astype(np.float16).astype(np.float32) for name, values in network.weights.items()}
+    write_network(tmp_path / "a.safetensors", network)
+    write_network(tmp_path / "b.safetensors", Network(network.card, rounded))
+    whole, half = ((tmp_path / f"{name}.safetensors").stat().st_size for name in "ab")
+    assert half < 0.6 * whole
+    for name, values in read_network(tmp_path / "b.safetensors").weights.items():
+        np.testing.assert_array_equal(values, rounded[name])
 
 
 def test_weights_that_contradict_their_card_are_refused(tmp_path):
@@ -109,6 +118,15 @@ def test_broken_weights_are_refused(tmp_path):
         read_network(tmp_path / "a.safetensors")
 
 
+@pytest.mark.parametrize(
+    ("kind", "root", "histogram"), [("azimuth", None, "roots"), ("paper", None, "counts"), ("paper", True, "roots")]
+)
+def test_older_cards_say_what_the_network_takes(kind, root, histogram):
+    values = json.loads(AZIMUTH.to_json()) | {"kind": kind} | ({} if root is None else {"root": root})
+    del values["histogram"]
+    assert NetworkCard.from_json(json.dumps(values), source="card").histogram == histogram
+
+
 @pytest.mark.parametrize("name", ["cgf-object", "cgf-indoor", "pca-object", "pca-indoor"])
 def test_shipped_cards_say_how_to_remake_their_weights(name):
     network = read_network(shipped_weights(name))
@@ -121,7 +139,8 @@ def test_shipped_cards_say_how_to_remake_their_weights(name):
 def test_shipped_features_come_in_nested_dimensions(model):
     network = read_network(shipped_weights(f"cgf-{model}"))
     assert {8, 16, 24, 32} <= set(network.card.dims)
-    features = network.embed(histograms(40).reshape(-1, len(network.card.insets), HISTOGRAM_BINS))
+    rows = random_histograms(40, network.card.histogram)
+    features = network.embed(rows.reshape(40 // len(network.card.insets), len(network.card.insets), -1))
     np.testing.assert_allclose(np.linalg.norm(features, axis=1), 1, rtol=1e-5)
     # Every prefix carries something: none is a multiple of one direction.
     assert all(np.linalg.matrix_rank(features[:, :dim]) == dim for dim in (8, 16))

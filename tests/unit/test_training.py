@@ -22,6 +22,7 @@ from cgf.training.render import view_directions  # noqa: E402
 from cgf.training.settings import TrainSettings  # noqa: E402
 from cgf.training.triplets import HARD_PER_POINT, PER_POINT, Triplets  # noqa: E402
 from cgf.types import PointCloud  # noqa: E402
+from tests.histograms import random_histograms  # noqa: E402
 
 
 def silent(share, text):
@@ -129,9 +130,16 @@ def test_quality_is_taught_which_features_find_their_partner():
 
 
 @pytest.mark.parametrize(
-    ("frame", "joined"), [("random", False), ("random", True), ("normal", False), ("paper", False)]
+    ("frame", "joined", "oriented"),
+    [
+        ("random", False, True),
+        ("random", True, True),
+        ("random", True, False),
+        ("normal", False, False),
+        ("paper", False, False),
+    ],
 )
-def test_batches_depend_on_their_number_alone(fragments, frame, joined):
+def test_batches_depend_on_their_number_alone(fragments, frame, joined, oriented):
     def make():
         return Batches(
             fragments,
@@ -145,6 +153,7 @@ def test_batches_depend_on_their_number_alone(fragments, frame, joined):
             augmentation=Augmentation(stretch=0.2, mirror=0.5, holes=0.5, cut=0.5),
             seed=3,
             insets=(0, 2),
+            oriented=oriented,
             joined=joined,
         )
 
@@ -153,7 +162,8 @@ def test_batches_depend_on_their_number_alone(fragments, frame, joined):
     batch, again = first.draw(5), second.draw(5)
     np.testing.assert_array_equal(batch.source, again.source)
     np.testing.assert_array_equal(batch.target, again.target)
-    assert batch.source.shape == ((64, 2, 2244) if joined else (64, 2244))
+    size = 8976 if oriented else 2244
+    assert batch.source.shape == ((64, 2, size) if joined else (64, size))
     assert not np.diag(batch.ignored).any()
     # Four overlaps of the one scene: what is not within a block is ignored.
     assert batch.ignored[:16, 16:].all()
@@ -274,25 +284,26 @@ def test_joining_supports_changes_nothing_but_how_they_are_joined(meshes, fragme
 
 
 @pytest.mark.parametrize(
-    ("changes", "kind", "root", "nested"),
+    ("changes", "kind", "histogram", "nested"),
     [
-        ({"recipe": "paper"}, "paper", False, False),
-        ({"recipe": "paper", "frame": "normal", "histogram": "roots"}, "paper", True, False),
-        ({"recipe": "paper", "network": "azimuth"}, "azimuth", True, False),
-        ({"network": "paper"}, "paper", True, True),
-        ({}, "azimuth", True, True),
+        ({"recipe": "paper"}, "paper", "counts", False),
+        ({"recipe": "paper", "frame": "normal", "histogram": "roots"}, "paper", "roots", False),
+        ({"recipe": "paper", "network": "azimuth"}, "azimuth", "roots", False),
+        ({"network": "paper"}, "paper", "roots", True),
+        ({"histogram": "roots"}, "azimuth", "roots", True),
+        ({}, "azimuth", "normals", True),
     ],
 )
 def test_cards_say_which_steps_from_the_paper_to_ours_were_taken(
-    meshes, fragments, tmp_path, monkeypatch, changes, kind, root, nested
+    meshes, fragments, tmp_path, monkeypatch, changes, kind, histogram, nested
 ):
     monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: fragments)
     network = run(settings_for(meshes, tmp_path / "a.safetensors", **{"steps": 1, **changes}), progress=silent)
     card = read_network(tmp_path / "a.safetensors").card
-    assert (card.kind, card.root, card.nested) == (kind, root, nested)
+    assert (card.kind, card.histogram, card.nested) == (kind, histogram, nested)
     assert card.frame == changes.get("frame", "normal" if nested else "paper")
     assert network.judges == nested
-    lengths = np.linalg.norm(network.embed(np.full((1, 2244), 1 / 2244, np.float32)), axis=1)
+    lengths = np.linalg.norm(network.embed(random_histograms(1, histogram)), axis=1)
     assert (abs(lengths - 1) < 1e-5).all() == nested
 
 
