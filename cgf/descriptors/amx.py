@@ -20,11 +20,14 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from cgf.descriptors.settings import AZIMUTH_BINS, INPUT_GAIN, HistogramKind
+from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
 
 EDGE = 32
 """Rows and columns of a block of sums: two tiles of 16 either way, which leaves four tiles for the factors."""
 _DEPTH = 32
 """Numbers of a row of a tile."""
+_LINE = 32
+"""Numbers of two bytes in a line of the cache."""
 _ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA = 158, 0x1023, 18
 
 _CONFIGURATION = np.zeros(64, np.uint8)
@@ -69,6 +72,15 @@ def to_bfloat16(values: Float32[np.ndarray, "*S"]) -> UInt16[np.ndarray, "*S"]:
     return ((bits + 0x7FFF + ((bits >> 16) & 1)) >> 16).astype(np.uint16)
 
 
+@njit(nogil=True)
+@no_type_check
+def _room_of(size):
+    """Memory that begins with a line of the cache, so that no row of a tile lies in two: that takes twice the time."""
+    room = np.zeros(size + _LINE, np.uint16)
+    start = (-room.ctypes.data % (2 * _LINE)) // 2
+    return room[start : start + size]
+
+
 def pack_weights(weight: Float32[np.ndarray, "O I3"]) -> UInt16[np.ndarray, "B S 1024"]:
     """A layer for the tiles: per `EDGE` outputs, and per step of 32 inputs, two tiles of 16 outputs each.
 
@@ -81,7 +93,9 @@ def pack_weights(weight: Float32[np.ndarray, "O I3"]) -> UInt16[np.ndarray, "B S
     padded[:outputs, :, :inputs] = weight.reshape(outputs, taps, inputs)
     # A tile's row holds, for each of 16 outputs, the weights of two inputs that follow each other.
     parts = to_bfloat16(padded).reshape(blocks, 2, 16, taps * steps, 16, 2)
-    return np.ascontiguousarray(parts.transpose(0, 3, 1, 4, 2, 5)).reshape(blocks, taps * steps, 2 * 16 * _DEPTH)
+    packed = _room_of(parts.size).reshape(blocks, taps * steps, 2 * 16 * _DEPTH)
+    packed[:] = parts.transpose(0, 3, 1, 4, 2, 5).reshape(packed.shape)
+    return packed
 
 
 def _run(label: int, operand: int) -> str:
@@ -122,11 +136,10 @@ _PRODUCTS = f"""
 """
 """Operands: three addresses of rows, address of weights, steps of a run, address of sums."""
 _CLOBBERED = "~{rax},~{rcx},~{rdx},~{r11},~{memory},~{dirflag},~{fpsr},~{flags}"
-_INT64 = ir.IntType(64)
 
 
 def _assembly(builder: Any, text: str, operands: list[Any], constraints: str) -> None:
-    signature = ir.FunctionType(ir.VoidType(), [_INT64] * len(operands))
+    signature = ir.FunctionType(ir.VoidType(), [INT64] * len(operands))
     builder.call(ir.InlineAsm(signature, text, constraints, side_effect=True), operands)
 
 
@@ -142,8 +155,8 @@ def _multiply(_context, rows, first, second, third, weights, steps, sums):
     def generate(context, builder, signature, args):
         def address(place, block=None):
             data = context.make_array(signature.args[place])(context, builder, args[place]).data
-            number = _INT64(0) if block is None else builder.mul(block, _INT64(EDGE * _DEPTH))
-            return builder.ptrtoint(builder.gep(data, [number]), _INT64)
+            number = INT64(0) if block is None else builder.mul(block, INT64(EDGE * _DEPTH))
+            return builder.ptrtoint(builder.gep(data, [number]), INT64)
 
         _assembly(
             builder,
@@ -161,7 +174,7 @@ def _multiply(_context, rows, first, second, third, weights, steps, sums):
 def _configure(_context, configuration):
     def generate(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        _assembly(builder, "ldtilecfg ($0)", [builder.ptrtoint(data, _INT64)], "r,~{memory}")
+        _assembly(builder, "ldtilecfg ($0)", [builder.ptrtoint(data, INT64)], "r,~{memory}")
         return context.get_dummy_value()
 
     return types.void(configuration), generate
@@ -177,11 +190,88 @@ def _release(_context):
     return types.void(), generate
 
 
+def _store_rounded(write: Writer, values: Lanes, base: Any, index: Any) -> None:
+    """As `to_bfloat16`."""
+    bits = Lanes(write.builder, write.builder.bitcast(values.value, ir.VectorType(INT32, LANES)))
+    half = write.repeat(16)
+    odd = Lanes(write.builder, write.builder.lshr(bits.value, half.value)) & write.repeat(1)
+    upper = write.builder.lshr((bits + write.repeat(0x7FFF) + odd).value, half.value)
+    write.store_each(
+        Lanes(write.builder, write.builder.trunc(upper, ir.VectorType(ir.IntType(16), LANES))), base, index
+    )
+
+
+def _rectified(write: Writer, sums: Any, bias: Any, row: Any, column: int, block: Any) -> Lanes:
+    """Sums plus their part of the bias, or zero, of 16 outputs of a block."""
+    place = write.builder.add(write.builder.mul(row, INT64(EDGE)), INT64(column))
+    first = write.builder.add(write.builder.mul(block, INT64(EDGE)), INT64(column))
+    values = write.load_each(sums, place) + write.load_each(bias, first)
+    return write.call(f"llvm.maxnum.v{LANES}f32", values, write.repeat(0.0))
+
+
+# As intrinsics, since where they are called the compiler would not turn loops into vector instructions.
+@intrinsic
+@no_type_check
+def _round(_context, values, gain, blocks, row):
+    """Write rounded multiples of `values` into a row of `blocks` (steps, 32, 32), as many as fill whole steps."""
+
+    def generate(context, builder, signature, args):
+        write = Writer(context, builder)
+        count = context.make_array(signature.args[0])(context, builder, args[0]).nitems
+        values, gain, blocks, row = write.unpack(signature, args)
+        start = builder.mul(row, INT64(_DEPTH))
+        with write.steps(INT64(0), builder.and_(count, INT64(-_DEPTH)), _DEPTH) as (i, _):
+            to = builder.add(builder.mul(i, INT64(EDGE)), start)
+            for half in (INT64(0), INT64(LANES)):
+                multiples = write.repeat(gain) * write.load_each(values, builder.add(i, half))
+                _store_rounded(write, multiples, blocks, builder.add(to, half))
+        return context.get_dummy_value()
+
+    return types.void(values, gain, blocks, row), generate
+
+
+@intrinsic
+@no_type_check
+def _activate(_context, sums, bias, block, rounded):
+    """Rectified sums plus their part of `bias`, rounded."""
+
+    def generate(context, builder, signature, args):
+        write = Writer(context, builder)
+        sums, bias, block, rounded = write.unpack(signature, args)
+        with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
+            for column in (0, LANES):
+                to = builder.add(builder.mul(row, INT64(EDGE)), INT64(column))
+                _store_rounded(write, _rectified(write, sums, bias, row, column, block), rounded, to)
+        return context.get_dummy_value()
+
+    return types.void(sums, bias, block, rounded), generate
+
+
+@intrinsic
+@no_type_check
+def _activate_and_pool(_context, sums, bias, block, largest, total):
+    """Rectified sums plus their part of `bias`, added to what blocks (32, 32) hold of all sectors."""
+
+    def generate(context, builder, signature, args):
+        write = Writer(context, builder)
+        sums, bias, block, largest, total = write.unpack(signature, args)
+        with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
+            for column in (0, LANES):
+                values = _rectified(write, sums, bias, row, column, block)
+                at = builder.add(builder.mul(row, INT64(EDGE)), INT64(column))
+                most = write.call(f"llvm.maxnum.v{LANES}f32", write.load_each(largest, at), values)
+                write.store_each(most, largest, at)
+                write.store_each(write.load_each(total, at) + values, total, at)
+        return context.get_dummy_value()
+
+    return types.void(sums, bias, block, largest, total), generate
+
+
 @intrinsic
 @no_type_check
 def _bits(_context, value):
     def generate(_context, builder, _signature, args):
-        return builder.bitcast(args[0], ir.IntType(32))
+        return builder.bitcast(args[0], INT32)
 
     return types.uint32(value), generate
 
@@ -191,37 +281,6 @@ def _bits(_context, value):
 def _rounded(value):
     bits = _bits(value)
     return np.uint16((bits + np.uint32(0x7FFF) + ((bits >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16))
-
-
-@njit(nogil=True)
-@no_type_check
-def _round(values, gain, blocks, row):
-    """Write rounded multiples of `values` into a row of `blocks` (steps, 32, 32)."""
-    whole = len(values) // _DEPTH
-    for step in range(whole):
-        for j in range(_DEPTH):
-            blocks[step, row, j] = _rounded(gain * values[step * _DEPTH + j])
-    for j in range(len(values) - whole * _DEPTH):
-        blocks[whole, row, j] = _rounded(gain * values[whole * _DEPTH + j])
-
-
-@njit(nogil=True)
-@no_type_check
-def _activate(sums, bias, block, rounded):
-    """Rectified sums plus their part of `bias`."""
-    for r in range(EDGE):
-        for j in range(EDGE):
-            rounded[r, j] = _rounded(max(sums[r, j] + bias[block * EDGE + j], np.float32(0.0)))
-
-
-@njit(nogil=True)
-@no_type_check
-def _activate_and_pool(sums, bias, block, largest, total):
-    for r in range(EDGE):
-        for j in range(block * EDGE, (block + 1) * EDGE):
-            value = max(sums[r, j - block * EDGE] + bias[j], np.float32(0.0))
-            largest[r, j] = max(largest[r, j], value)
-            total[r, j] += value
 
 
 @njit(nogil=True)
@@ -238,14 +297,16 @@ def _convolve(columns, weights, sums, sector, block):
 def _fill_hidden(histograms, shares, first, second, third, last, biases, configuration, hidden):
     bins = histograms.shape[1] // AZIMUTH_BINS
     # Numbers as the tiles take them: for each 32 of them, those of all rows together.
-    inputs = np.zeros((AZIMUTH_BINS, len(first[0]) // 3, EDGE, _DEPTH), np.uint16)
-    columns = np.empty((AZIMUTH_BINS, len(first), EDGE, _DEPTH), np.uint16)
-    others = np.empty((AZIMUTH_BINS, len(second), EDGE, _DEPTH), np.uint16)
-    width = len(third) * EDGE
-    largest, total = np.empty((EDGE, width), np.float32), np.empty((EDGE, width), np.float32)
-    pooled = np.zeros((len(last[0]), EDGE, _DEPTH), np.uint16)
+    size = EDGE * _DEPTH
+    steps = len(first[0]) // 3
+    inputs = _room_of(AZIMUTH_BINS * steps * size).reshape(AZIMUTH_BINS, steps, EDGE, _DEPTH)
+    columns = _room_of(AZIMUTH_BINS * len(first) * size).reshape(AZIMUTH_BINS, len(first), EDGE, _DEPTH)
+    others = _room_of(AZIMUTH_BINS * len(second) * size).reshape(AZIMUTH_BINS, len(second), EDGE, _DEPTH)
+    largest, total = (np.empty((len(third), EDGE, EDGE), np.float32), np.empty((len(third), EDGE, EDGE), np.float32))
+    pooled = _room_of(len(last[0]) * size).reshape(len(last[0]), EDGE, _DEPTH)
     sums = np.empty((EDGE, EDGE), np.float32)
     run = len(last[0]) // 3
+    whole = bins // _DEPTH * _DEPTH
     one, gain, mean = np.float32(1.0), np.float32(INPUT_GAIN), np.float32(1.0 / AZIMUTH_BINS)
     _configure(configuration)
     for start in range(0, len(histograms), EDGE):
@@ -256,6 +317,8 @@ def _fill_hidden(histograms, shares, first, second, third, last, biases, configu
                 if shares:
                     values = np.sqrt(values)
                 _round(values, gain, inputs[sector], r)
+                for j in range(whole, bins):
+                    inputs[sector, -1, r, j - whole] = _rounded(gain * values[j])
         for sector in range(AZIMUTH_BINS):
             for block in range(len(first)):
                 _convolve(inputs, first, sums, sector, block)
@@ -268,10 +331,11 @@ def _fill_hidden(histograms, shares, first, second, third, last, biases, configu
         for sector in range(AZIMUTH_BINS):
             for block in range(len(third)):
                 _convolve(others, third, sums, sector, block)
-                _activate_and_pool(sums, biases[2], block, largest, total)
-        for r in range(count):
-            _round(largest[r], one, pooled, r)
-            _round(total[r], mean, pooled[len(third) :], r)
+                _activate_and_pool(sums, biases[2], block, largest[block], total[block])
+        for block in range(len(third)):
+            for r in range(count):
+                _round(largest[block, r], one, pooled[block : block + 1], r)
+                _round(total[block, r], mean, pooled[len(third) + block :], r)
         for block in range(len(last)):
             _multiply(pooled, 0, run, 2 * run, last[block], run, sums)
             for r in range(count):
