@@ -16,7 +16,7 @@ from cgf.descriptors.settings import (
     TILT_STEPS,
     HistogramKind,
 )
-from cgf.descriptors.spherical_histogram import shell_edges
+from cgf.descriptors.spherical_histogram import shell_edges, unit_normals
 from cgf.types import IsCancelled, PointCloud, raise_if_cancelled
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def embed_on_device(
     normals = None
     if network.card.histogram == "normals":
         assert cloud.normals is not None
-        normals = torch.from_numpy(cloud.normals.astype(np.float32)).to(device)
+        normals = torch.from_numpy(unit_normals(cloud.normals).astype(np.float32)).to(device)
     queries = torch.from_numpy((centers - offset).astype(np.float32)).to(device)
     axes = torch.from_numpy(frames.astype(np.float32)).to(device)
     weights = {name: torch.from_numpy(values).to(device) for name, values in network.weights.items()}

@@ -163,7 +163,7 @@ def histogram_grid(
         points: Finite, in cloud units.
         support_radius: Of the sphere described, in cloud units; the paper takes 17 % of the diameter, or 1.2 m.
         min_radius: Everything nearer falls into the innermost shell; the paper takes 1.5 % of the diameter, or 0.1 m.
-        normals: Of unit length; oriented histograms need them.
+        normals: Oriented histograms need them; their length is nothing, and those of none or NaN have no components.
 
     Raises:
         ValueError: The radii are not positive and increasing.
@@ -171,8 +171,15 @@ def histogram_grid(
     if not 0 < min_radius < support_radius:
         raise ValueError(f"min_radius must lie between 0 and support_radius ({support_radius:g}), got {min_radius:g}")
     grid = build_grid(points, cell_size=support_radius / 4)
-    sorted_normals = None if normals is None else grid.sorted_columns(normals)
-    return HistogramGrid(grid, support_radius, min_radius, sorted_normals)
+    if normals is None:
+        return HistogramGrid(grid, support_radius, min_radius)
+    return HistogramGrid(grid, support_radius, min_radius, grid.sorted_columns(unit_normals(normals)))
+
+
+def unit_normals(normals: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 3"]:
+    """Normals of unit length; zeros where they have none or are not a number."""
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
 
 @njit(cache=True, nogil=True)

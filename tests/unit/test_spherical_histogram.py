@@ -114,6 +114,20 @@ def test_oriented_histograms_of_nested_supports_are_those_described_one_by_one()
         assert (np.abs(rows[:, place] - expected[:, 0]) > 0.002).mean() < 1e-3
 
 
+def test_normals_have_a_direction_only():
+    rng = np.random.default_rng(9)
+    points, normals = rng.uniform(-1, 1, size=(500, 3)), rng.normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals[:50], frames = 0, np.stack([random_frame(rng) for _ in range(20)])
+    rows = []
+    for given in (normals, 7 * normals, np.where(normals == 0, np.nan, normals)):
+        grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=given)
+        rows.append(grid.oriented_histograms(points[:20], frames, insets=(0,))[0])
+    # Dividing by seven times the length may round a component to the next step.
+    assert (np.abs(rows[1] - rows[0]) > 1e-6).mean() < 1e-3
+    np.testing.assert_array_equal(rows[2], rows[0])
+
+
 @pytest.mark.parametrize("degrees", range(15, 360, 30))
 def test_each_sector_is_thirty_degrees(degrees):
     angle = np.deg2rad(degrees)
