@@ -237,8 +237,7 @@ def _fill_histograms(
                         if normals is None:
                             _count_hits(bins, gathered, hits)
                         else:
-                            find_tilts(offsets, tilts, gathered, frames[k], low, high)
-                            _add_tilts(bins, low, high, gathered, sums)
+                            _add_tilts(offsets, tilts, gathered, frames[k], bins, low, high, sums)
                         total += gathered
                         gathered = 0
         find_bins(*offsets, gathered, frames[k], sq_radius, sq_edges, edges, bins)
@@ -249,8 +248,8 @@ def _fill_histograms(
             for support in range(len(insets)):
                 _cut_support(quarters.reshape(-1), shells, counts[k], insets[support], rows[k, support])
         else:
-            find_tilts(offsets, tilts, gathered, frames[k], low, high)
-            _add_tilts(bins, low, high, gathered, sums)
+            _add_tilts(offsets, tilts, gathered, frames[k], bins, low, high, sums)
+            # Two sums of 32 bits in each number, the lower half first.
             counts[k] = total + gathered - (sums[-1, 0] & 0xFFFFFFFF)
             _add_half_sectors(sums[:-1].reshape(-1).view(np.int32).reshape(HALF_SECTORS, -1), soft, quarters)
             for support in range(len(insets)):
@@ -266,10 +265,11 @@ def _count_hits(bins, count, hits):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _add_tilts(bins, low, high, count, hits):
+def _add_tilts(offsets, normals, count, frame, bins, low, high, sums):
+    find_tilts(offsets, normals, count, frame, low, high)
     for i in range(count):
-        hits[bins[i], 0] += low[i]
-        hits[bins[i], 1] += high[i]
+        sums[bins[i], 0] += low[i]
+        sums[bins[i], 1] += high[i]
 
 
 @njit(cache=True, nogil=True)
