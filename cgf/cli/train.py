@@ -72,7 +72,12 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")
     recipe.add_argument("--learning-rate", type=float, metavar="X", help="default: 1e-3, or 1e-4 for paper")
     recipe.add_argument("--temperature", type=float, metavar="X", help="of the contrastive loss")
+    recipe.add_argument("--weight-decay", type=float, metavar="X", help="of the contrastive recipe (default: 0.01)")
+    recipe.add_argument("--dropout", type=float, metavar="SHARE", help="in the azimuth network (default: 0)")
     augmentation = parser.add_argument_group("augmentation of the contrastive recipe, drawn anew for every batch")
+    augmentation.add_argument(
+        "--normal-radii", type=float, nargs="+", metavar="R", help="clouds with normals estimated anew, in voxels"
+    )
     augmentation.add_argument("--stretch", type=float, metavar="X", help="clouds along random axes, by up to 1 + X")
     augmentation.add_argument("--mirror", type=float, metavar="SHARE", help="of overlaps that are mirrored")
     augmentation.add_argument("--holes", type=float, metavar="SHARE", help="of clouds that lose some balls of points")

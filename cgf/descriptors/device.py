@@ -180,9 +180,16 @@ def _tilts(normals: "Tensor", offsets: "Tensor") -> "list[Tensor]":
 
 
 def forward(
-    kind: "NetworkKind", histogram: "HistogramKind", histograms: "Tensor", weights: "dict[str, Tensor]"
+    kind: "NetworkKind",
+    histogram: "HistogramKind",
+    histograms: "Tensor",
+    weights: "dict[str, Tensor]",
+    *,
+    dropout: float = 0.0,
 ) -> "tuple[Tensor, Tensor | None]":
     """Map (K, S, B) or (K, B) histograms to (K, D), not normalised, and (K,) logits of quality.
+
+    Of what the azimuth network knows of all sectors together, a share of `dropout` is lost at random.
 
     Autograd and autocast work through it; the quality's gradient stops at the layer that it shares with the features.
     """
@@ -194,7 +201,10 @@ def forward(
     gain = 1.0 if histogram == "counts" else INPUT_GAIN
     if kind == "pca":
         return (values - weights["mean"]) @ weights["components"].T, None
-    hidden = _azimuth_hidden(values, gain, weights) if kind == "azimuth" else _paper_hidden(values, gain, weights)
+    if kind == "azimuth":
+        hidden = _azimuth_hidden(values, gain, weights, dropout)
+    else:
+        hidden = _paper_hidden(values, gain, weights)
     vectors = linear(hidden, weights["out.weight"], weights["out.bias"])
     if "join.weight" in weights:
         vectors = linear(normalize(vectors, dim=1).view(count, -1), weights["join.weight"])
@@ -204,9 +214,9 @@ def forward(
     return vectors, linear(judged, weights["quality.1.weight"], weights["quality.1.bias"])[:, 0]
 
 
-def _azimuth_hidden(values: "Tensor", gain: float, weights: "dict[str, Tensor]") -> "Tensor":
+def _azimuth_hidden(values: "Tensor", gain: float, weights: "dict[str, Tensor]", drop: float) -> "Tensor":
     import torch
-    from torch.nn.functional import linear, relu
+    from torch.nn.functional import dropout, linear, relu
 
     columns = values.view(len(values), AZIMUTH_BINS, -1)
     if torch.is_autocast_enabled(columns.device.type):
@@ -220,6 +230,8 @@ def _azimuth_hidden(values: "Tensor", gain: float, weights: "dict[str, Tensor]")
         before, same, after = linear(columns, taps[0]), linear(columns, taps[1], bias), linear(columns, taps[2])
         columns = relu(before.roll(1, dims=1) + same + after.roll(-1, dims=1))
     pooled = torch.cat([columns.amax(dim=1), columns.mean(dim=1)], dim=1)
+    if drop:
+        pooled = dropout(pooled, drop)
     return relu(linear(pooled, weights["hidden.weight"], weights["hidden.bias"]))
 
 

@@ -14,7 +14,6 @@ from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.transforms import apply
 from cgf.training.augmentation import Augmentation
 from cgf.training.fragments import Fragments, Overlap
-from cgf.types import PointCloud
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +82,9 @@ class Batches:
                 factor, turn = rng.uniform(1 - jitter, 1 + jitter), overlap.target_from_source[:3, :3]
                 if len(self.insets) > 1 and not self.joined:
                     factor *= self._scales[int(rng.integers(len(self._scales)))]
-                sources.append(self._histograms(source, rows, factor, shape @ turn, rng))
-                targets.append(self._histograms(target, partner_rows, factor, shape, rng))
+                normals = [self._normals(cloud, rng) for cloud in (overlap.source, overlap.target)]
+                sources.append(self._histograms(source.points, normals[0], rows, factor, shape @ turn, rng))
+                targets.append(self._histograms(target.points, normals[1], partner_rows, factor, shape, rng))
             positions.append(apply(overlap.target_from_source, source.points[rows]))
             partners.append(target.points[partner_rows])
             scenes.append(scene)
@@ -117,17 +117,24 @@ class Batches:
         near = np.flatnonzero(np.isfinite(distances))[:count]
         return (candidates[near], partners[near]) if len(near) == count else None
 
+    def _normals(self, cloud: int, rng: np.random.Generator) -> Float64[np.ndarray, "N 3"]:
+        """One of the estimates that there are for a cloud."""
+        own = self.fragments.clouds[cloud].normals
+        assert own is not None
+        others = self.fragments.other_normals[cloud] if self.fragments.other_normals else []
+        return [own, *others][int(rng.integers(1 + len(others)))] if others else own
+
     def _histograms(
         self,
-        cloud: PointCloud,
+        points: Float64[np.ndarray, "N 3"],
+        normals: Float64[np.ndarray, "N 3"],
         rows: np.ndarray,
         factor: float,
         shape: Float64[np.ndarray, "3 3"],
         rng: np.random.Generator,
     ) -> Float32[np.ndarray, "K *S B"]:
         """Histograms of the augmented cloud, which the linear map `shape` has brought into another shape and frame."""
-        assert cloud.normals is not None
-        points, normals = cloud.points @ shape.T, cloud.normals @ np.linalg.inv(shape)
+        points, normals = points @ shape.T, normals @ np.linalg.inv(shape)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         support_radius = self.support_radius * factor
         kept = self.augmentation.draw_kept(points, support_radius, rng)

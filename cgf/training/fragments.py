@@ -1,7 +1,7 @@
 """What is trained on: overlapping clouds with their relative poses, from meshes or from scenes."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,8 @@ class Fragments:
     overlaps: list[Overlap]
     groups: list[list[PointCloud]]
     """Clouds by scene and voxel size, for negatives from a whole model."""
+    other_normals: list[list[Float64[np.ndarray, "_ 3"]]] = field(default_factory=list)
+    """Of each cloud, its normals as other programs may have estimated them; none where the list is empty."""
 
 
 def fragments_of_meshes(
@@ -115,6 +117,31 @@ def fragments_of_scenes(
                 source, target = first[entry.source, size], first[entry.target, other]
                 overlaps.append(Overlap(source, target, entry.target_from_source, scene, max(size, other)))
     return _checked(Fragments(clouds, overlaps, groups), *folders)
+
+
+def with_other_normals(fragments: Fragments, radii: tuple[float, ...], *, progress: Progress) -> Fragments:
+    """Estimate normals again from the downsampled clouds, within each of `radii`, in voxels.
+
+    They keep the side of those that there are.
+    """
+    # The larger of two clouds' sizes; each cloud overlaps some other of its own size.
+    size_of: dict[int, float] = {}
+    for overlap in fragments.overlaps:
+        for number in (overlap.source, overlap.target):
+            size_of[number] = min(overlap.voxel_size, size_of.get(number, overlap.voxel_size))
+    others = []
+    for number, cloud in enumerate(fragments.clouds):
+        progress(number / len(fragments.clouds), "estimating normals anew")
+        others.append([_estimated_again(cloud, radius * size_of[number]) for radius in radii if number in size_of])
+    return replace(fragments, other_normals=others)
+
+
+def _estimated_again(cloud: PointCloud, radius: float) -> Float64[np.ndarray, "N 3"]:
+    assert cloud.normals is not None
+    estimated = estimate_normals(replace(cloud, normals=None), radius=radius, viewpoint=np.zeros(3)).normals
+    assert estimated is not None
+    is_turned = np.einsum("ij,ij->i", estimated, cloud.normals) < 0
+    return np.where(is_turned[:, None], -estimated, estimated)
 
 
 def _size_pairs(sizes: tuple[float, ...]) -> Iterator[tuple[float, float]]:

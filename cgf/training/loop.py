@@ -81,6 +81,8 @@ def train(
         for step in range(first, settings.steps):
             batch = coming.result()
             coming = pool.submit(draw, min(step + 1, settings.steps - 1))
+            # For dropout: a run that was cut off goes on as if it had not been.
+            torch.manual_seed(step)
             loss = loss_of(embed, batch)
             value = processes.mean(loss)
             if not value == value or abs(value) == float("inf"):

@@ -21,6 +21,7 @@ class FeatureNetwork(nn.Module):
     def __init__(self, kind: NetworkKind, histogram: HistogramKind, *, hidden: int, dim: int, judges: bool) -> None:
         super().__init__()
         self.kind, self.histogram = kind, histogram
+        self.dropout = 0.0
         self.out = nn.Linear(hidden, dim)
         if judges:
             self.quality = _judge(hidden)
@@ -30,7 +31,8 @@ class FeatureNetwork(nn.Module):
 
         A joined network takes (K, S, B).
         """
-        vectors, logits = forward(self.kind, self.histogram, histograms, dict(self.named_parameters()))
+        weights: dict[str, Tensor] = dict(self.named_parameters())
+        vectors, logits = forward(self.kind, self.histogram, histograms, weights, dropout=self.dropout)
         return vectors if logits is None else torch.cat([vectors, logits[:, None]], dim=1)
 
 
@@ -40,11 +42,14 @@ class AzimuthNetwork(FeatureNetwork):
     It takes histograms with soft azimuth sectors.
     """
 
-    def __init__(self, dim: int, *, width: int, histogram: HistogramKind = "normals", judges: bool = True) -> None:
+    def __init__(
+        self, dim: int, *, width: int, histogram: HistogramKind = "normals", dropout: float = 0.0, judges: bool = True
+    ) -> None:
         super().__init__("azimuth", histogram, hidden=2 * width, dim=dim, judges=judges)
         widths = [histogram_size(histogram) // AZIMUTH_BINS, width, width, width]
         self.columns = nn.ModuleList(nn.Linear(3 * a, b) for a, b in pairwise(widths))
         self.hidden = nn.Linear(2 * width, 2 * width)
+        self.dropout = dropout
 
 
 def joined(network: FeatureNetwork, supports: int) -> FeatureNetwork:
@@ -57,6 +62,7 @@ def joined(network: FeatureNetwork, supports: int) -> FeatureNetwork:
     network.join = nn.Linear(supports * dim, dim, bias=False)
     network.join.weight.data = torch.eye(dim).repeat(1, supports) / supports
     network.quality = _judge(supports * hidden)
+    network.dropout = 0.0
     return network
 
 

@@ -16,7 +16,7 @@ from cgf.descriptors.settings import ModelDefaults
 from cgf.training.augmentation import Augmentation
 from cgf.training.batches import Batch, Batches
 from cgf.training.distributed import Processes, started
-from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes
+from cgf.training.fragments import Fragments, fragments_of_meshes, fragments_of_scenes, with_other_normals
 from cgf.training.loop import LoopSettings, train
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss
 from cgf.training.modules import AzimuthNetwork, FeatureNetwork, PaperNetwork, joined
@@ -50,6 +50,8 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     defaults = settings.lengths
     with started(settings.device) as processes:
         fragments = _fragments(settings, defaults, progress)
+        if settings.normal_radii:
+            fragments = with_other_normals(fragments, settings.normal_radii, progress=progress)
         trained = _TRAIN[settings.recipe](settings, defaults, fragments, processes, progress)
     pca = settings.recipe == "pca"
     card = NetworkCard(
@@ -152,7 +154,7 @@ def _contrastive(
         return loss + quality_loss(logits, source[:, :judged], target[:, :judged], ignored)
 
     loop = _loop(settings, fragments, steps=6_000, learning_rate=1e-3)
-    loop = replace(loop, weight_decay=0.01, cosine_decay=True, average=0.998)
+    loop = replace(loop, weight_decay=settings.weight_decay, cosine_decay=True, average=0.998)
     folder = settings.output.with_suffix("")
     optimise = partial(train, loss_of=loss_of, processes=processes, progress=progress)
     network = optimise(_network(settings), draw=batches().draw, settings=loop, folder=folder)
@@ -197,7 +199,7 @@ def _network(settings: TrainSettings) -> FeatureNetwork:
     """The network that `settings` ask for, not trained."""
     dim, histogram, judges = settings.dims[-1], settings.chosen_histogram, settings.contrastive
     if settings.chosen_network == "azimuth":
-        return AzimuthNetwork(dim, width=settings.width, histogram=histogram, judges=judges)
+        return AzimuthNetwork(dim, width=settings.width, histogram=histogram, dropout=settings.dropout, judges=judges)
     return PaperNetwork(dim, histogram=histogram, judges=judges)
 
 

@@ -56,12 +56,18 @@ class TrainSettings:
     """None stands for 1e-3 (contrastive) or the paper's 1e-4."""
     temperature: float = 0.07
     """Of the contrastive loss."""
+    weight_decay: float = 0.01
+    """Of the contrastive recipe (AdamW)."""
+    dropout: float = 0.0
+    """Share of what the azimuth network knows of all sectors together that is lost at random."""
     view_sets: int = 2
     """Sets of 14 range images per mesh, each turned anew."""
     noise: tuple[float, float] = (0.0, 0.004)
     """Range of the standard deviation of the noise in range images, in diameters."""
     voxel_sizes: tuple[float, ...] = ()
     """For scenes: densities to train on, in metres; none stands for the model's own."""
+    normal_radii: tuple[float, ...] = ()
+    """In voxels: normals are estimated again within these, and each cloud takes one of all its estimates at a time."""
     stretch: float = 0.0
     """Clouds are stretched along random axes by up to 1 plus this, or shrunk by as much."""
     mirror: float = 0.0
@@ -119,6 +125,12 @@ class TrainSettings:
             )
         if self.join_steps < 1:
             raise ValueError(f"--join-steps must be 1 or more, got {self.join_steps}")
+        if not all(radius > 0 for radius in self.normal_radii):
+            raise ValueError(f"--normal-radii must be positive, got {self.normal_radii}")
+        if not self.weight_decay >= 0:
+            raise ValueError(f"--weight-decay must be 0 or more, got {self.weight_decay:g}")
+        if not 0 <= self.dropout < 1:
+            raise ValueError(f"--dropout must lie between 0 and 1, got {self.dropout:g}")
         for name in ("stretch", "mirror", "holes", "cut"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"--{name} must lie between 0 and 1, got {getattr(self, name):g}")

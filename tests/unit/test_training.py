@@ -14,7 +14,7 @@ from cgf.descriptors.settings import MODEL_DEFAULTS  # noqa: E402
 from cgf.training import recipes  # noqa: E402
 from cgf.training.augmentation import Augmentation  # noqa: E402
 from cgf.training.batches import Batches  # noqa: E402
-from cgf.training.fragments import Fragments, Overlap, fragments_of_meshes  # noqa: E402
+from cgf.training.fragments import Fragments, Overlap, fragments_of_meshes, with_other_normals  # noqa: E402
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss  # noqa: E402
 from cgf.training.overlap import overlapping_pairs  # noqa: E402
 from cgf.training.recipes import run  # noqa: E402
@@ -170,6 +170,26 @@ def test_batches_depend_on_their_number_alone(fragments, frame, joined, oriented
     assert not batch.ignored[:16, :16].all()
 
 
+def test_normals_estimated_anew_keep_their_side_and_are_drawn_in_turn(fragments):
+    varied = with_other_normals(fragments, (2.0, 5.0), progress=silent)
+    for cloud, others in zip(fragments.clouds, varied.other_normals, strict=True):
+        assert len(others) == 2
+        for normals in others:
+            assert (np.einsum("ij,ij->i", normals, cloud.normals) >= 0).all()
+            np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+        assert np.abs(others[0] - others[1]).max() > 0.1
+
+    batches = Batches(
+        varied, support_radius=0.17, min_radius=0.015, lrf_radius=0.02, frame="random", tau=0.01, size=64,
+        per_batch=16, augmentation=Augmentation(), seed=3, oriented=True,
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    estimates = [fragments.clouds[1].normals, *varied.other_normals[1]]
+    chosen_ones = [batches._normals(1, rng) for _ in range(30)]
+    drawn = [next(i for i, normals in enumerate(estimates) if normals is chosen) for chosen in chosen_ones]
+    assert set(drawn) == {0, 1, 2}
+
+
 def plane_pair(tau):
     """Two planes, the second shifted by a third of tau, and the overlap between them."""
     rng = np.random.default_rng(1)
@@ -242,7 +262,7 @@ class Killed(BaseException):
 @pytest.mark.parametrize(
     ("changes", "last"),
     [
-        ({"recipe": "contrastive"}, "step 5 of 6"),
+        ({"recipe": "contrastive", "dropout": 0.5}, "step 5 of 6"),
         ({"recipe": "paper"}, "step 5 of 6"),
         ({"insets": (0, 3), "join_steps": 7}, "step 5 of 7"),
     ],
