@@ -1,8 +1,9 @@
-"""The circular convolution of the azimuth network, as few matrix products as there can be.
+"""The circular convolutions of the azimuth network: the first of what there is, the others as few matrix products.
 
-Winograd's minimal filtering F(4, 3) gives four outputs of a filter of three taps by 6 products instead of 12 (Lavin and
-Gray, Fast Algorithms for Convolutional Neural Networks, 2016). Its transforms are sums over a few columns, which are
-compiled so that they pass through memory once.
+Of an oriented histogram six bins of seven hold no neighbour, so adding up rows of weights for the others is faster than
+products with all of them. The layers after it are dense. There Winograd's minimal filtering F(4, 3) gives four outputs
+of a filter of three taps by 6 products instead of 12 (Lavin and Gray, Fast Algorithms for Convolutional Neural
+Networks, 2016). Its transforms are sums over a few columns, compiled so that they pass through memory once.
 """
 
 from typing import no_type_check
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32
 from numba import njit
 
-from cgf.descriptors.settings import AZIMUTH_BINS
+from cgf.descriptors.settings import AZIMUTH_BINS, CHANNELS
 
 _TILES = AZIMUTH_BINS // 4
 _TILE_OF_FILTER = np.array(
@@ -37,6 +38,66 @@ def convolve_circularly(
     outputs = np.empty((AZIMUTH_BINS, count, len(bias)), np.float32)
     _transform_output(products, bias, outputs)
     return outputs
+
+
+def pack_bins(weight: Float32[np.ndarray, "O I3"]) -> Float32[np.ndarray, "3 B C O"]:
+    """The three taps of the first layer by bin and channel, for `convolve_filled`."""
+    outputs = len(weight)
+    bins = weight.shape[1] // (3 * CHANNELS)
+    packed = _aligned((3, bins, CHANNELS, outputs))
+    packed[:] = weight.reshape(outputs, 3, CHANNELS, bins).transpose(1, 3, 2, 0)
+    return packed
+
+
+def convolve_filled(
+    values: Float32[np.ndarray, "K W"], packed: Float32[np.ndarray, "3 B C O"], bias: Float32[np.ndarray, "O"]
+) -> Float32[np.ndarray, "12 K O"]:
+    """As `convolve_circularly`, of oriented histograms, whose bins are empty where the first channel is zero."""
+    outputs = _aligned((AZIMUTH_BINS, len(values), len(bias)))
+    _add_filled(values.reshape(len(values), AZIMUTH_BINS, CHANNELS, -1), packed, bias, outputs)
+    return outputs
+
+
+def _aligned(shape: tuple[int, ...]) -> Float32[np.ndarray, "..."]:
+    """Memory that begins with a line of the cache, so that vectors do not lie in two."""
+    size = int(np.prod(shape))
+    room = np.empty(size + 16, np.float32)
+    start = -room.ctypes.data % 64 // 4
+    return room[start : start + size].reshape(shape)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+@no_type_check
+def _add_filled(values, packed, bias, outputs):
+    bins = packed.shape[1]
+    filled = np.empty((AZIMUTH_BINS, bins), np.int32)
+    counts = np.empty(AZIMUTH_BINS, np.int32)
+    for k in range(len(values)):
+        for sector in range(AZIMUTH_BINS):
+            count = 0
+            for b in range(bins):
+                filled[sector, count] = b
+                count += values[k, sector, 0, b] > 0
+            counts[sector] = count
+        for sector in range(AZIMUTH_BINS):
+            sums = outputs[sector, k]
+            sums[:] = bias
+            for tap in range(3):
+                near = (sector + tap + AZIMUTH_BINS - 1) % AZIMUTH_BINS
+                column = values[k, near]
+                for i in range(counts[near]):
+                    b = filled[near, i]
+                    weights = packed[tap, b]
+                    first, second, third, fourth = column[0, b], column[1, b], column[2, b], column[3, b]
+                    for j in range(len(sums)):
+                        sums[j] += (
+                            first * weights[0, j]
+                            + second * weights[1, j]
+                            + third * weights[2, j]
+                            + fourth * weights[3, j]
+                        )
+            for j in range(len(sums)):
+                sums[j] = max(sums[j], np.float32(0.0))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})

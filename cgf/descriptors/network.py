@@ -178,10 +178,14 @@ class Network:
 
     @cached_property
     def _filtered(self) -> Weights:
-        """The weights, with what `convolve_circularly` takes."""
-        from cgf.descriptors.convolution import filter_tiles
+        """The weights, with what `convolve_filled` and `convolve_circularly` take."""
+        from cgf.descriptors.convolution import filter_tiles, pack_bins
 
-        return self.weights | {f"tiles.{i}": filter_tiles(self.weights[f"columns.{i}.weight"]) for i in range(3)}
+        layers = {f"tiles.{i}": filter_tiles(self.weights[f"columns.{i}.weight"]) for i in range(3)}
+        if self.card.histogram == "normals":
+            layers["bins"] = pack_bins(self.weights["columns.0.weight"])
+            del layers["tiles.0"]
+        return self.weights | layers
 
 
 def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:
@@ -220,13 +224,17 @@ def unit_rows(vectors: Float32[np.ndarray, "K D"]) -> Float32[np.ndarray, "K D"]
     return vectors / np.where(length > 0, length, np.float32(1.0))
 
 
-def _azimuth_hidden(roots: Float32[np.ndarray, "K B"], weights: Weights) -> Float32[np.ndarray, "K H"]:
+def _azimuth_hidden(values: Float32[np.ndarray, "K B"], weights: Weights) -> Float32[np.ndarray, "K H"]:
     """Circular convolutions over the 12 azimuth columns, then their maximum and mean: turning x changes little."""
-    from cgf.descriptors.convolution import convolve_circularly
+    from cgf.descriptors.convolution import convolve_circularly, convolve_filled
 
-    # Azimuth first, so that a column of all points is one matrix.
-    columns = np.ascontiguousarray(roots.reshape(len(roots), AZIMUTH_BINS, -1).transpose(1, 0, 2))
-    for i in range(3):
+    if "bins" in weights:
+        columns = convolve_filled(values, weights["bins"], weights["columns.0.bias"])
+    else:
+        # Azimuth first, so that a column of all points is one matrix.
+        columns = np.ascontiguousarray(values.reshape(len(values), AZIMUTH_BINS, -1).transpose(1, 0, 2))
+        columns = convolve_circularly(columns, weights["tiles.0"], weights["columns.0.bias"])
+    for i in (1, 2):
         columns = convolve_circularly(columns, weights[f"tiles.{i}"], weights[f"columns.{i}.bias"])
     pooled = np.concatenate([columns.max(axis=0), columns.mean(axis=0)], axis=1)
     return _linear_relu(pooled, weights, "hidden")
