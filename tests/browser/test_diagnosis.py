@@ -18,7 +18,7 @@ def test_what_is_wrong_is_shown_and_mended(viewer: Viewer) -> None:
     viewer.settle()
     expect(page.locator("#tab-diagnosis .badge")).to_have_text("1")
     card = page.locator(".card[data-kind=normals]")
-    expect(card).to_contain_text("normals point to opposite sides")
+    expect(card).to_contain_text("normals of one cloud point to the other side")
     expect(card.locator("tr.off")).to_have_count(1)
     page.locator(".verdict .apply").click()
     expect(page.locator("#verdict")).to_contain_text("Nothing wrong found", timeout=LONG_S * 1000)

@@ -155,7 +155,7 @@ def test_a_room_in_millimetres(demo: Pair) -> None:
 
 
 def test_a_radius_that_is_too_small(demo: Pair) -> None:
-    diagnosis = diagnosed(demo, PairSettings(support_radius=0.06), with_truth=False)
+    diagnosis = diagnosed(demo, PairSettings(support_radius=0.04), with_truth=False)
     assert kinds(diagnosis, "problem") == ["radius"]
     assert diagnosis.findings[0].changes == {"support_radius": None}
     assert diagnosis.outcome == "doubtful"
@@ -178,7 +178,7 @@ def test_clouds_that_do_not_overlap(demo: Pair, *, with_truth: bool) -> None:
 
 
 def test_a_cloud_of_few_points(demo: Pair) -> None:
-    few = demo.source.take(np.arange(0, len(demo.source), 50))
+    few = demo.source.take(np.arange(0, len(demo.source), 80))
     diagnosis = diagnosed(replace(demo, source=few), with_truth=False)
     assert kinds(diagnosis, "problem")[0] == "points"
     assert not {"scale", "normals", "overlap", "shape"} & set(kinds(diagnosis, "problem"))

@@ -333,7 +333,8 @@ def test_the_command_measures_pairs_of_both_models(
             reached[key, "cgf-32"]["precision"] > reached[key, "cgf-8"]["precision"] > reached[key, "fpfh"]["precision"]
         )
     shares = [reached["fgr", "cgf-32"]["precision"], reached["demo", "cgf-32"]["near"][2]]
-    assert f"| CGF, 32 dimensions | {' | '.join(f'**{100 * share:.1f}**' for share in shares)} |" in printed
+    line = f"| CGF, 32 dimensions | {' | '.join(f'{100 * share:.1f}' for share in shares)} |"
+    assert line in printed.replace("**", "")  # Of the best of each column.
 
 
 @pytest.mark.parametrize(
