@@ -71,30 +71,25 @@ class HistogramDescriptor:
         device = requested_device()
         if device is not None:
             return self._describe_on(device, cloud, rows, frames, progress=progress, cancelled=cancelled)
-        oriented = card.histogram == "normals"
         grid = histogram_grid(
             cloud.points,
             support_radius=settings.support_radius,
             min_radius=settings.min_radius,
-            normals=cloud.normals if oriented else None,
+            normals=cloud.normals if card.oriented else None,
         )
         vectors = np.empty((len(rows), card.dims[-1]), np.float32)
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         filled = np.ones(len(rows), dtype=np.bool_)
-
         kept = threading.local()
 
         def fill(part: slice) -> None:
             raise_if_cancelled(cancelled)
             if not hasattr(kept, "room"):
                 kept.room = np.empty(_BLOCK * len(card.insets) * histogram_size(card.histogram), np.float32)
-            around = {"centers": cloud.points[rows[part]], "frames": frames[part]}
-            if oriented:
-                histograms, counts = grid.oriented_histograms(**around, insets=card.insets, room=kept.room)
-            else:
-                histograms, counts = grid.nested_histograms(
-                    **around, soft=card.soft, insets=card.insets, room=kept.room
-                )
+            centers = cloud.points[rows[part]]
+            histograms, counts = grid.nested_histograms(
+                centers, frames[part], soft=card.soft, insets=card.insets, room=kept.room
+            )
             vectors[part], judged = self.network.embed_and_judge(histograms)
             if quality is not None:
                 quality[part] = judged

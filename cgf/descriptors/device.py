@@ -81,7 +81,7 @@ def embed_on_device(
     offset = cloud.points.min(axis=0)
     points = torch.from_numpy((cloud.points - offset).astype(np.float32)).to(device)
     normals = None
-    if network.card.histogram == "normals":
+    if network.card.oriented:
         assert cloud.normals is not None
         normals = torch.from_numpy(unit_normals(cloud.normals).astype(np.float32)).to(device)
     queries = torch.from_numpy((centers - offset).astype(np.float32)).to(device)

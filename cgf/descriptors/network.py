@@ -70,6 +70,11 @@ class NetworkCard:
         """Whether the network takes histograms with soft azimuth sectors."""
         return self.kind == "azimuth"
 
+    @property
+    def oriented(self) -> bool:
+        """Whether the network takes histograms with the normals of neighbours."""
+        return self.histogram == "normals"
+
     def defaults(self) -> ModelDefaults:
         """The model's defaults, with the lengths that these weights were trained with."""
         return replace(
@@ -182,7 +187,7 @@ class Network:
         from cgf.descriptors.convolution import filter_tiles, pack_bins
 
         layers = {f"tiles.{i}": filter_tiles(self.weights[f"columns.{i}.weight"]) for i in range(3)}
-        if self.card.histogram == "normals":
+        if self.card.oriented:
             layers["bins"] = pack_bins(self.weights["columns.0.weight"])
             del layers["tiles.0"]
         return self.weights | layers

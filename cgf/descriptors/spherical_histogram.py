@@ -37,14 +37,18 @@ class HistogramGrid:
     support_radius: float
     min_radius: float
     normals: Float32[np.ndarray, "3 M"] | None = None
-    """In the order of the grid."""
+    """In the order of the grid; histograms are oriented where there are any."""
 
     def histograms(
         self, centers: Float64[np.ndarray, "K 3"], frames: Float64[np.ndarray, "K 3 3"], *, soft: bool = False
-    ) -> tuple[Float32[np.ndarray, "K 2244"], Int64[np.ndarray, "K"]]:
-        """Histograms around `centers` in `frames`, each row summing to 1, and the number of neighbours.
+    ) -> tuple[Float32[np.ndarray, "K B"], Int64[np.ndarray, "K"]]:
+        """Histograms around `centers` in `frames`, each row of 2,244 summing to 1, and the number of neighbours.
 
         A bin holds its share of the neighbours; a centre itself is no neighbour. Rows without any hold zeros.
+
+        An oriented histogram holds four times 187 values for each of 12 azimuth sectors: the square roots of shares;
+        then, times these roots, means of the components of the neighbours' normals along z, away from the z axis and
+        around it. Components are told to a 31st.
 
         Args:
             centers: In cloud units.
@@ -63,7 +67,7 @@ class HistogramGrid:
         soft: bool,
         insets: tuple[int, ...],
         room: Float32[np.ndarray, "_"] | None = None,
-    ) -> tuple[Float32[np.ndarray, "K S 2244"], Int64[np.ndarray, "K"]]:
+    ) -> tuple[Float32[np.ndarray, "K S B"], Int64[np.ndarray, "K"]]:
         """Histograms of several supports around each centre, as `histograms` gives them, for little more than one.
 
         Args:
@@ -73,44 +77,10 @@ class HistogramGrid:
             insets: Of each support, by how many shells it is smaller; see `nested_scales`.
             room: Memory for the histograms; new memory, which takes about as long to get as to fill, if None.
         """
-        return self._filled(centers, frames, soft=soft, insets=insets, normals=None, room=room)
-
-    def oriented_histograms(
-        self,
-        centers: Float64[np.ndarray, "K 3"],
-        frames: Float64[np.ndarray, "K 3 3"],
-        *,
-        insets: tuple[int, ...],
-        room: Float32[np.ndarray, "_"] | None = None,
-    ) -> tuple[Float32[np.ndarray, "K S 8976"], Int64[np.ndarray, "K"]]:
-        """Histograms of several supports with the normals of each bin's neighbours, and the number of neighbours.
-
-        Each of 12 soft azimuth sectors holds four times 187 values: the square roots of the bins' shares of the
-        neighbours; then, times these roots, means of the components of the neighbours' normals along z, away from the
-        z axis and around it. Components are told to a 31st. Bins without neighbours hold zeros.
-
-        Args:
-            centers: In cloud units.
-            frames: Rows are x, y, z.
-            insets: As for `nested_histograms`.
-            room: As for `nested_histograms`.
-        """
-        assert self.normals is not None
-        return self._filled(centers, frames, soft=True, insets=insets, normals=tuple(self.normals), room=room)
-
-    def _filled(
-        self,
-        centers: Float64[np.ndarray, "K 3"],
-        frames: Float64[np.ndarray, "K 3 3"],
-        *,
-        soft: bool,
-        insets: tuple[int, ...],
-        normals: tuple[Float32[np.ndarray, "M"], ...] | None,
-        room: Float32[np.ndarray, "_"] | None,
-    ) -> tuple[Float32[np.ndarray, "K S B"], Int64[np.ndarray, "K"]]:
         edges = shell_edges(max(insets), support_radius=self.support_radius, min_radius=self.min_radius)
         sq_edges = padded_edges(np.square(edges).astype(np.float32))
         centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
+        normals = None if self.normals is None else tuple(self.normals)
         size = HISTOGRAM_BINS * (1 if normals is None else CHANNELS)
         shape = (len(centers), len(insets), size)
         rows = np.empty(shape, np.float32) if room is None else room[: np.prod(shape)].reshape(shape)
@@ -163,7 +133,7 @@ def histogram_grid(
         points: Finite, in cloud units.
         support_radius: Of the sphere described, in cloud units; the paper takes 17 % of the diameter, or 1.2 m.
         min_radius: Everything nearer falls into the innermost shell; the paper takes 1.5 % of the diameter, or 0.1 m.
-        normals: Oriented histograms need them; their length is nothing, and those of none or NaN have no components.
+        normals: Make the histograms oriented. Of any length; those of none, or NaN, have no components.
 
     Raises:
         ValueError: The radii are not positive and increasing.

@@ -149,10 +149,7 @@ class Batches:
             estimated, defined = estimate_lrf(points, normals, rows, radius=self.lrf_radius, kind=self.frame)
             frames = np.where(defined[:, None, None], estimated, frames)
         insets = self.insets if self.joined else (0,)
-        if self.oriented:
-            histograms, _ = grid.oriented_histograms(points[rows], frames, insets=insets)
-        else:
-            histograms, _ = grid.nested_histograms(points[rows], frames, soft=self.frame == "random", insets=insets)
+        histograms, _ = grid.nested_histograms(points[rows], frames, soft=self.frame == "random", insets=insets)
         return histograms if self.joined else histograms[:, 0]
 
 

@@ -50,8 +50,6 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     defaults = settings.lengths
     with started(settings.device) as processes:
         fragments = _fragments(settings, defaults, progress)
-        if settings.normal_radii:
-            fragments = with_other_normals(fragments, settings.normal_radii, progress=progress)
         trained = _TRAIN[settings.recipe](settings, defaults, fragments, processes, progress)
     pca = settings.recipe == "pca"
     card = NetworkCard(
@@ -125,6 +123,8 @@ def _contrastive(
     settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, processes: Processes, progress: Progress
 ) -> _Trained:
     azimuth = settings.chosen_network == "azimuth"
+    if settings.normal_radii:
+        fragments = with_other_normals(fragments, settings.normal_radii, progress=progress)
     batches = partial(
         Batches,
         fragments,

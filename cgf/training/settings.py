@@ -118,7 +118,9 @@ class TrainSettings:
         possible: tuple[HistogramKind, ...] = ("roots", "counts")
         if self.chosen_network == "azimuth":
             possible = ("normals", "roots") if self.contrastive else ("roots",)
-        if self.recipe != "pca" and self.chosen_histogram not in possible:
+        if self.recipe == "pca":
+            possible = ("counts",)
+        if self.chosen_histogram not in possible:
             raise ValueError(
                 f"--histogram must be {' or '.join(possible)} for the {self.chosen_network} network and the recipe "
                 f"{self.recipe}, got {self.histogram}"
@@ -130,7 +132,11 @@ class TrainSettings:
         if not self.weight_decay >= 0:
             raise ValueError(f"--weight-decay must be 0 or more, got {self.weight_decay:g}")
         if not 0 <= self.dropout < 1:
-            raise ValueError(f"--dropout must lie between 0 and 1, got {self.dropout:g}")
+            raise ValueError(f"--dropout must be 0 or more and below 1, got {self.dropout:g}")
+        if self.dropout and (self.chosen_network != "azimuth" or not self.contrastive):
+            raise ValueError(
+                f"--dropout must be 0 but for the azimuth network and contrastive recipe, got {self.dropout:g}"
+            )
         for name in ("stretch", "mirror", "holes", "cut"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"--{name} must lie between 0 and 1, got {getattr(self, name):g}")

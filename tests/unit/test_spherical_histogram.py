@@ -83,8 +83,9 @@ def test_oriented_histograms_hold_the_means_of_normals():
     centers = points[:20]
     frames = np.stack([random_frame(rng) for _ in centers])
     grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=normals)
-    rows, counts = grid.oriented_histograms(centers, frames, insets=(0,))
-    shares, neighbors = grid.histograms(centers, frames, soft=True)
+    rows, counts = grid.nested_histograms(centers, frames, soft=True, insets=(0,))
+    plain = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST)
+    shares, neighbors = plain.histograms(centers, frames, soft=True)
     np.testing.assert_array_equal(counts, neighbors)
     channels = rows.reshape(20, 12, 4, 187).transpose(2, 0, 1, 3)
     np.testing.assert_allclose(channels[0] ** 2, shares.reshape(20, 12, 187), atol=1e-7)
@@ -106,10 +107,10 @@ def test_oriented_histograms_of_nested_supports_are_those_described_one_by_one()
     frames = np.stack([random_frame(rng) for _ in range(40)])
     insets = (0, 3, 7)
     grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=normals)
-    rows, _ = grid.oriented_histograms(points[:40], frames, insets=insets)
+    rows, _ = grid.nested_histograms(points[:40], frames, soft=True, insets=insets)
     for place, scale in enumerate(nested_scales(insets, support_radius=SUPPORT, min_radius=LEAST)):
         alone = histogram_grid(points, support_radius=SUPPORT * scale, min_radius=LEAST * scale, normals=normals)
-        expected, _ = alone.oriented_histograms(points[:40], frames, insets=(0,))
+        expected, _ = alone.nested_histograms(points[:40], frames, soft=True, insets=(0,))
         # Edges are rounded, so a neighbour may fall on the other side of one, which changes the scale of all.
         assert (np.abs(rows[:, place] - expected[:, 0]) > 0.002).mean() < 1e-3
 
@@ -122,7 +123,7 @@ def test_normals_have_a_direction_only():
     rows = []
     for given in (normals, 7 * normals, np.where(normals == 0, np.nan, normals)):
         grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=given)
-        rows.append(grid.oriented_histograms(points[:20], frames, insets=(0,))[0])
+        rows.append(grid.nested_histograms(points[:20], frames, soft=True, insets=(0,))[0])
     # Dividing by seven times the length may round a component to the next step.
     assert (np.abs(rows[1] - rows[0]) > 1e-6).mean() < 1e-3
     np.testing.assert_array_equal(rows[2], rows[0])

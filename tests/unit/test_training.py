@@ -1,7 +1,6 @@
 """Training on a few small clouds: the recipes run, resume to the bit and write what the descriptor reads."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -379,23 +378,3 @@ def test_pca_gives_orthogonal_components(meshes, fragments, tmp_path, monkeypatc
 def test_a_folder_without_meshes_is_refused(tmp_path):
     with pytest.raises(InputError, match="--meshes must be a folder of meshes"):
         run(settings_for(tmp_path, tmp_path / "a.safetensors"), progress=silent)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"meshes": None}, "one of --meshes and --scenes must be given, got neither"),
-        ({"scenes": (Path("a"),)}, "one of --meshes and --scenes must be given, got both"),
-        ({"output": Path("weights.bin")}, "--output must end in .safetensors, got weights.bin"),
-        ({"batch": 30}, r"--batch must be a multiple of --overlaps-per-batch \(4\), got 30"),
-        ({"dims": (16, 8)}, "--dims must be ascending and positive"),
-        ({"insets": (0, 16)}, r"--insets must be 0 and ascending numbers up to 15, got \(0, 16\)"),
-        ({"insets": (3,)}, r"--insets must be 0 and ascending numbers up to 15, got \(3,\)"),
-        ({"insets": (0, 3), "recipe": "paper"}, "--insets must be 0 but for the azimuth network"),
-        ({"join_steps": 0}, "--join-steps must be 1 or more, got 0"),
-        ({"min_radius": 0.3}, "--min-radius must be above 0 and below --support-radius, got 0.3 and 0.2"),
-    ],
-)
-def test_settings_that_contradict_each_other_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        settings_for(**{"meshes": Path("meshes"), "output": Path("a.safetensors")} | changes)
