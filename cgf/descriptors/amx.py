@@ -19,15 +19,10 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from cgf.descriptors.settings import AZIMUTH_BINS, INPUT_GAIN, HistogramKind
-from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
+from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, INPUT_GAIN, HistogramKind
+from cgf.descriptors.tile_layout import DEPTH, EDGE, aligned_room, histogram_order, steps_of, to_bfloat16
+from cgf.geometry.lanes import INT64, LANES, Lanes, Writer
 
-EDGE = 32
-"""Rows and columns of a block of sums: two tiles of 16 either way, which leaves four tiles for the factors."""
-_DEPTH = 32
-"""Numbers of a row of a tile."""
-_LINE = 32
-"""Numbers of two bytes in a line of the cache."""
 _ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA = 158, 0x1023, 18
 
 _CONFIGURATION = np.zeros(64, np.uint8)
@@ -62,25 +57,6 @@ def uses_tiles() -> bool:
     return precision != "float32" and has_tiles()
 
 
-def _rounded_up(number: int, multiple: int) -> int:
-    return -(-number // multiple) * multiple
-
-
-def to_bfloat16(values: Float32[np.ndarray, "*S"]) -> UInt16[np.ndarray, "*S"]:
-    """The upper halves of the numbers, rounded to the nearest, ties to even."""
-    bits = values.view(np.uint32)
-    return ((bits + 0x7FFF + ((bits >> 16) & 1)) >> 16).astype(np.uint16)
-
-
-@njit(nogil=True)
-@no_type_check
-def _room_of(size):
-    """Memory that begins with a line of the cache, so that no row of a tile lies in two: that takes twice the time."""
-    room = np.zeros(size + _LINE, np.uint16)
-    start = (-room.ctypes.data % (2 * _LINE)) // 2
-    return room[start : start + size]
-
-
 def pack_weights(weight: Float32[np.ndarray, "O I3"]) -> UInt16[np.ndarray, "B S 1024"]:
     """A layer for the tiles: per `EDGE` outputs, and per step of 32 inputs, two tiles of 16 outputs each.
 
@@ -88,12 +64,12 @@ def pack_weights(weight: Float32[np.ndarray, "O I3"]) -> UInt16[np.ndarray, "B S
     """
     taps = 3
     outputs, inputs = len(weight), weight.shape[1] // taps
-    blocks, steps = _rounded_up(outputs, EDGE) // EDGE, _rounded_up(inputs, _DEPTH) // _DEPTH
-    padded = np.zeros((blocks * EDGE, taps, steps * _DEPTH), np.float32)
+    blocks, steps = -(-outputs // EDGE), steps_of(inputs)
+    padded = np.zeros((blocks * EDGE, taps, steps * DEPTH), np.float32)
     padded[:outputs, :, :inputs] = weight.reshape(outputs, taps, inputs)
     # A tile's row holds, for each of 16 outputs, the weights of two inputs that follow each other.
     parts = to_bfloat16(padded).reshape(blocks, 2, 16, taps * steps, 16, 2)
-    packed = _room_of(parts.size).reshape(blocks, taps * steps, 2 * 16 * _DEPTH)
+    packed = aligned_room(parts.size).reshape(blocks, taps * steps, 2 * 16 * DEPTH)
     packed[:] = parts.transpose(0, 3, 1, 4, 2, 5).reshape(packed.shape)
     return packed
 
@@ -155,7 +131,7 @@ def _multiply(_context, rows, first, second, third, weights, steps, sums):
     def generate(context, builder, signature, args):
         def address(place, block=None):
             data = context.make_array(signature.args[place])(context, builder, args[place]).data
-            number = INT64(0) if block is None else builder.mul(block, INT64(EDGE * _DEPTH))
+            number = INT64(0) if block is None else builder.mul(block, INT64(EDGE * DEPTH))
             return builder.ptrtoint(builder.gep(data, [number]), INT64)
 
         _assembly(
@@ -190,17 +166,6 @@ def _release(_context):
     return types.void(), generate
 
 
-def _store_rounded(write: Writer, values: Lanes, base: Any, index: Any) -> None:
-    """As `to_bfloat16`."""
-    bits = Lanes(write.builder, write.builder.bitcast(values.value, ir.VectorType(INT32, LANES)))
-    half = write.repeat(16)
-    odd = Lanes(write.builder, write.builder.lshr(bits.value, half.value)) & write.repeat(1)
-    upper = write.builder.lshr((bits + write.repeat(0x7FFF) + odd).value, half.value)
-    write.store_each(
-        Lanes(write.builder, write.builder.trunc(upper, ir.VectorType(ir.IntType(16), LANES))), base, index
-    )
-
-
 def _rectified(write: Writer, sums: Any, bias: Any, row: Any, column: int, block: Any) -> Lanes:
     """Sums plus their part of the bias, or zero, of 16 outputs of a block."""
     place = write.builder.add(write.builder.mul(row, INT64(EDGE)), INT64(column))
@@ -219,12 +184,12 @@ def _round(_context, values, gain, blocks, row):
         write = Writer(context, builder)
         count = context.make_array(signature.args[0])(context, builder, args[0]).nitems
         values, gain, blocks, row = write.unpack(signature, args)
-        start = builder.mul(row, INT64(_DEPTH))
-        with write.steps(INT64(0), builder.and_(count, INT64(-_DEPTH)), _DEPTH) as (i, _):
+        start = builder.mul(row, INT64(DEPTH))
+        with write.steps(INT64(0), builder.and_(count, INT64(-DEPTH)), DEPTH) as (i, _):
             to = builder.add(builder.mul(i, INT64(EDGE)), start)
             for half in (INT64(0), INT64(LANES)):
                 multiples = write.repeat(gain) * write.load_each(values, builder.add(i, half))
-                _store_rounded(write, multiples, blocks, builder.add(to, half))
+                write.store_rounded(multiples, blocks, builder.add(to, half))
         return context.get_dummy_value()
 
     return types.void(values, gain, blocks, row), generate
@@ -241,7 +206,7 @@ def _activate(_context, sums, bias, block, rounded):
         with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
             for column in (0, LANES):
                 to = builder.add(builder.mul(row, INT64(EDGE)), INT64(column))
-                _store_rounded(write, _rectified(write, sums, bias, row, column, block), rounded, to)
+                write.store_rounded(_rectified(write, sums, bias, row, column, block), rounded, to)
         return context.get_dummy_value()
 
     return types.void(sums, bias, block, rounded), generate
@@ -267,22 +232,6 @@ def _activate_and_pool(_context, sums, bias, block, largest, total):
     return types.void(sums, bias, block, largest, total), generate
 
 
-@intrinsic
-@no_type_check
-def _bits(_context, value):
-    def generate(_context, builder, _signature, args):
-        return builder.bitcast(args[0], INT32)
-
-    return types.uint32(value), generate
-
-
-@njit(inline="always")
-@no_type_check
-def _rounded(value):
-    bits = _bits(value)
-    return np.uint16((bits + np.uint32(0x7FFF) + ((bits >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16))
-
-
 @njit(nogil=True)
 @no_type_check
 def _convolve(columns, weights, sums, sector, block):
@@ -294,31 +243,19 @@ def _convolve(columns, weights, sums, sector, block):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_hidden(histograms, shares, first, second, third, last, biases, configuration, hidden):
-    bins = histograms.shape[1] // AZIMUTH_BINS
-    # Numbers as the tiles take them: for each 32 of them, those of all rows together.
-    size = EDGE * _DEPTH
-    steps = len(first[0]) // 3
-    inputs = _room_of(AZIMUTH_BINS * steps * size).reshape(AZIMUTH_BINS, steps, EDGE, _DEPTH)
-    columns = _room_of(AZIMUTH_BINS * len(first) * size).reshape(AZIMUTH_BINS, len(first), EDGE, _DEPTH)
-    others = _room_of(AZIMUTH_BINS * len(second) * size).reshape(AZIMUTH_BINS, len(second), EDGE, _DEPTH)
+def _fill_hidden(tiles, first, second, third, last, biases, configuration, hidden):
+    size = EDGE * DEPTH
+    columns = aligned_room(AZIMUTH_BINS * len(first) * size).reshape(AZIMUTH_BINS, len(first), EDGE, DEPTH)
+    others = aligned_room(AZIMUTH_BINS * len(second) * size).reshape(AZIMUTH_BINS, len(second), EDGE, DEPTH)
     largest, total = (np.empty((len(third), EDGE, EDGE), np.float32), np.empty((len(third), EDGE, EDGE), np.float32))
-    pooled = _room_of(len(last[0]) * size).reshape(len(last[0]), EDGE, _DEPTH)
+    pooled = aligned_room(len(last[0]) * size).reshape(len(last[0]), EDGE, DEPTH)
     sums = np.empty((EDGE, EDGE), np.float32)
     run = len(last[0]) // 3
-    whole = bins // _DEPTH * _DEPTH
-    one, gain, mean = np.float32(1.0), np.float32(INPUT_GAIN), np.float32(1.0 / AZIMUTH_BINS)
+    one, mean = np.float32(1.0), np.float32(1.0 / AZIMUTH_BINS)
     _configure(configuration)
-    for start in range(0, len(histograms), EDGE):
-        count = min(EDGE, len(histograms) - start)
-        for r in range(count):
-            for sector in range(AZIMUTH_BINS):
-                values = histograms[start + r, sector * bins : (sector + 1) * bins]
-                if shares:
-                    values = np.sqrt(values)
-                _round(values, gain, inputs[sector], r)
-                for j in range(whole, bins):
-                    inputs[sector, -1, r, j - whole] = _rounded(gain * values[j])
+    for start in range(0, len(hidden), EDGE):
+        count = min(EDGE, len(hidden) - start)
+        inputs = tiles[start // EDGE]
         for sector in range(AZIMUTH_BINS):
             for block in range(len(first)):
                 _convolve(inputs, first, sums, sector, block)
@@ -357,17 +294,37 @@ class TiledNetwork:
 
     def hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
         """The hidden layer, given these histograms, or their square roots, times `INPUT_GAIN`."""
-        hidden = np.empty((len(histograms), self.width), np.float32)
-        _fill_hidden(histograms, self.histogram == "roots", *self.layers, self.biases, _CONFIGURATION, hidden)
+        values = np.sqrt(histograms) if self.histogram == "roots" else histograms
+        columns = values.reshape(len(values), AZIMUTH_BINS, -1)
+        order = histogram_order(columns.shape[2] // COLUMN_BINS)
+        steps, blocks = steps_of(len(order)), -(-len(columns) // EDGE)
+        padded = np.zeros((blocks * EDGE, AZIMUTH_BINS, steps * DEPTH), np.float32)
+        padded[: len(columns), :, : len(order)] = columns[:, :, order]
+        parts = to_bfloat16(padded).reshape(blocks, EDGE, AZIMUTH_BINS, steps, DEPTH).transpose(0, 2, 3, 1, 4)
+        tiles = aligned_room(parts.size).reshape(parts.shape)
+        tiles[:] = parts
+        return self.hidden_of_tiles(tiles, len(columns))
+
+    def hidden_of_tiles(
+        self, tiles: UInt16[np.ndarray, "N 12 T 32 32"], count: int
+    ) -> Float32[np.ndarray, "{count} H"]:
+        """The hidden layer of the first `count` histograms in `tiles`, as `HistogramGrid.fill_tiles` writes them."""
+        hidden = np.empty((count, self.width), np.float32)
+        _fill_hidden(tiles, *self.layers, self.biases, _CONFIGURATION, hidden)
         return hidden
 
 
 def pack_network(weights: dict[str, Float32[np.ndarray, "..."]], histogram: HistogramKind) -> TiledNetwork:
     """Pack the three convolutions and the hidden layer of an azimuth network."""
-    layers = [pack_weights(weights[f"columns.{k}.weight"]) for k in range(3)]
+    # In the order of the tiles, and times the gain, which changes no digit.
+    first = weights["columns.0.weight"] * np.float32(INPUT_GAIN)
+    columns = first.reshape(len(first), 3, -1)
+    order = histogram_order(columns.shape[2] // COLUMN_BINS)
+    layers = [pack_weights(columns[:, :, order].reshape(first.shape))]
+    layers += [pack_weights(weights[f"columns.{k}.weight"]) for k in (1, 2)]
     # The maximum and the mean over the sectors, each padded as the sums of the third layer are.
     weight, width = weights["hidden.weight"], len(layers[2]) * EDGE
-    both = np.zeros((len(weight), _rounded_up(2 * width, 3 * _DEPTH)), np.float32)
+    both = np.zeros((len(weight), 3 * DEPTH * -(-2 * width // (3 * DEPTH))), np.float32)
     channels = weight.shape[1] // 2
     both[:, :channels], both[:, width : width + channels] = weight[:, :channels], weight[:, channels:]
     layers.append(pack_weights(both))

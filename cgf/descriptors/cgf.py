@@ -11,12 +11,13 @@ from cgf.descriptors.network import Network, load_network, unit_rows
 from cgf.descriptors.pooling import pool_features
 from cgf.descriptors.settings import DescriptorSettings, histogram_size
 from cgf.descriptors.spherical_histogram import histogram_grid
+from cgf.descriptors.tile_layout import histogram_room
 from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.parallel import for_each_block
 from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
 
-_BLOCK = 64
-"""Points described at a time by one thread; what the network computes for them stays in the processor's cache."""
+_BLOCK = 128
+"""Points described at a time by one thread."""
 
 
 class HistogramDescriptor:
@@ -82,15 +83,24 @@ class HistogramDescriptor:
         filled = np.ones(len(rows), dtype=np.bool_)
         kept = threading.local()
 
+        takes_tiles = self.network.takes_tiles
+
         def fill(part: slice) -> None:
             raise_if_cancelled(cancelled)
             if not hasattr(kept, "room"):
-                kept.room = np.empty(_BLOCK * len(card.insets) * histogram_size(card.histogram), np.float32)
-            centers = cloud.points[rows[part]]
-            histograms, counts = grid.nested_histograms(
-                centers, frames[part], soft=card.soft, insets=card.insets, room=kept.room
-            )
-            vectors[part], judged = self.network.embed_and_judge(histograms)
+                supports = _BLOCK * len(card.insets)
+                kept.room = (
+                    histogram_room(supports)
+                    if takes_tiles
+                    else np.empty(supports * histogram_size(card.histogram), np.float32)
+                )
+            wanted = (cloud.points[rows[part]], frames[part])
+            if takes_tiles:
+                counts = grid.fill_tiles(*wanted, soft=card.soft, insets=card.insets, tiles=kept.room)
+                vectors[part], judged = self.network.embed_tiles(kept.room, len(counts))
+            else:
+                histograms, counts = grid.nested_histograms(*wanted, soft=card.soft, insets=card.insets, room=kept.room)
+                vectors[part], judged = self.network.embed_and_judge(histograms)
             if quality is not None:
                 quality[part] = judged
             filled[part] = counts > 0

@@ -3,7 +3,7 @@
 No transcendental functions, tables in memory or branches: comparisons with the edges, for 16 neighbours at a time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, no_type_check
 
 import numpy as np
@@ -14,6 +14,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from cgf.descriptors.settings import AZIMUTH_BINS, CHANNELS, ELEVATION_BINS, MAX_INSET, RADIAL_BINS, TILT_STEPS
+from cgf.descriptors.tile_layout import DEPTH, EDGE
 from cgf.geometry.lanes import INT32, INT64, LANES, Lanes, Writer
 
 MAX_EDGES = RADIAL_BINS - 1 + MAX_INSET
@@ -115,6 +116,24 @@ def find_tilts(_context, offsets, normals, count, frame, low, high):
     return types.none(offsets, normals, count, frame, low, high), generate
 
 
+def _store_channels(write: Writer, sums: Any, start: Any, scale: Any, store: Callable[[int, Lanes], None]) -> None:
+    """Store what an oriented histogram holds of the 16 bins whose sums begin at `sums[start]`, channel by channel."""
+    together = [write.load_each(sums, write.builder.add(start, INT64(LANES * k))) for k in range(CHANNELS)]
+    counts = write.every_fourth(together, 0)
+    # A surface leaves most of them empty.
+    with write.builder.if_else(write.any_true(counts > write.repeat(0))) as (some, none):
+        with some:
+            scale, tiny, step = write.repeat(scale), write.repeat(1e-20), write.repeat(1 / TILT_STEPS)
+            count, *tilts = (write.every_fourth(together, channel).to_floats() for channel in range(CHANNELS))
+            root = write.call(f"llvm.sqrt.v{LANES}f32", scale * count)
+            part = scale / write.call(f"llvm.maxnum.v{LANES}f32", root, tiny)
+            for channel, value in enumerate([root, *(part * (step * tilt - count) for tilt in tilts)]):
+                store(channel, value)
+        with none:
+            for channel in range(CHANNELS):
+                store(channel, write.repeat(0.0))
+
+
 @intrinsic
 @no_type_check
 def fill_channels(_context, sums, start, scale, row, to, stride):
@@ -126,17 +145,33 @@ def fill_channels(_context, sums, start, scale, row, to, stride):
     def generate(context, builder, signature, arguments):
         write = Writer(context, builder)
         sums, start, scale, row, to, stride = write.unpack(signature, arguments)
-        scale, tiny, step = write.repeat(scale), write.repeat(1e-20), write.repeat(1 / TILT_STEPS)
-        together = [write.load_each(sums, builder.add(start, INT64(LANES * k))) for k in range(CHANNELS)]
-        count, *tilts = (write.every_fourth(together, channel).to_floats() for channel in range(CHANNELS))
-        root = write.call(f"llvm.sqrt.v{LANES}f32", scale * count)
-        part = scale / write.call(f"llvm.maxnum.v{LANES}f32", root, tiny)
-        for value in (root, *(part * (step * tilt - count) for tilt in tilts)):
-            write.store_each(value, row, to)
-            to = builder.add(to, stride)
+
+        def store(channel, value):
+            write.store_each(value, row, builder.add(to, builder.mul(stride, INT64(channel))))
+
+        _store_channels(write, sums, start, scale, store)
         return context.get_dummy_value()
 
     return types.none(sums, start, scale, row, to, stride), generate
+
+
+@intrinsic
+@no_type_check
+def fill_steps(_context, sums, start, scale, tiles, to):
+    """As `fill_channels`, rounded to bfloat16, into the row of a block of tiles; two channels take a step."""
+
+    def generate(context, builder, signature, arguments):
+        write = Writer(context, builder)
+        sums, start, scale, tiles, to = write.unpack(signature, arguments)
+
+        def store(channel, value):
+            step, place = divmod(channel * LANES, DEPTH)
+            write.store_rounded(value, tiles, builder.add(to, INT64(step * EDGE * DEPTH + place)))
+
+        _store_channels(write, sums, start, scale, store)
+        return context.get_dummy_value()
+
+    return types.none(sums, start, scale, tiles, to), generate
 
 
 def _in_steps(write: Writer, component: Lanes) -> Lanes:

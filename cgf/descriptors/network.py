@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt16
 
 from cgf.descriptors.settings import (
     AZIMUTH_BINS,
@@ -145,7 +145,27 @@ class Network:
         if self.card.kind == "pca":
             # Projection on the principal components of training histograms: the paper's linear baseline.
             return (rows - weights["mean"]) @ weights["components"].T, None
-        hidden = self._hidden(rows)
+        return self._outputs(self._hidden(rows), count)
+
+    def embed_tiles(
+        self, tiles: UInt16[np.ndarray, "N 12 T 32 32"], count: int
+    ) -> tuple[Float32[np.ndarray, "{count} D"], Float32[np.ndarray, "{count}"] | None]:
+        """As `embed_and_judge`, of `count` points whose histograms `HistogramGrid.fill_tiles` wrote."""
+        return self._outputs(self._tiled.hidden_of_tiles(tiles, count * len(self.card.insets)), count)
+
+    @property
+    def takes_tiles(self) -> bool:
+        """Whether `embed_tiles` can be used: for networks that know normals, on processors that multiply tiles.
+
+        Raises:
+            ValueError: The environment asks for a precision that there is not.
+        """
+        return self.card.kind == "azimuth" and self.card.oriented and _uses_tiles()
+
+    def _outputs(
+        self, hidden: Float32[np.ndarray, "R H"], count: int
+    ) -> tuple[Float32[np.ndarray, "{count} D"], Float32[np.ndarray, "{count}"] | None]:
+        weights = self.weights
         vectors = _linear(hidden, weights, "out")
         if self.card.nested:
             vectors = unit_rows(vectors)
@@ -162,12 +182,8 @@ class Network:
         return "quality.0.bias" in self.weights
 
     def _hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
-        if self.card.kind == "azimuth":
-            # Compiled, so imported only where features are computed: reading a card takes no time.
-            from cgf.descriptors import amx
-
-            if amx.uses_tiles():
-                return self._tiled.hidden(histograms)
+        if self.card.kind == "azimuth" and _uses_tiles():
+            return self._tiled.hidden(histograms)
         values = histograms
         if self.card.histogram != "counts":
             values = (np.sqrt(values) if self.card.histogram == "roots" else values) * np.float32(INPUT_GAIN)
@@ -191,6 +207,13 @@ class Network:
             layers["bins"] = pack_bins(self.weights["columns.0.weight"])
             del layers["tiles.0"]
         return self.weights | layers
+
+
+def _uses_tiles() -> bool:
+    # Compiled, so imported only where features are computed: reading a card takes no time.
+    from cgf.descriptors.amx import uses_tiles
+
+    return uses_tiles()
 
 
 def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:

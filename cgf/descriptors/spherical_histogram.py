@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64, Int64, UInt16
 from numba import njit
 
-from cgf.descriptors.histogram_bins import HALF_SECTORS, fill_channels, find_bins, find_tilts, padded_edges
+from cgf.descriptors.histogram_bins import HALF_SECTORS, fill_channels, fill_steps, find_bins, find_tilts, padded_edges
 from cgf.descriptors.settings import (
     AZIMUTH_BINS,
     CHANNELS,
@@ -17,8 +17,9 @@ from cgf.descriptors.settings import (
     RADIAL_BINS,
     TILT_STEPS,
 )
+from cgf.descriptors.tile_layout import DEPTH, EDGE, HISTOGRAM_STEPS, INNERMOST_STEP, STEPS_OF_ELEVATION
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
-from cgf.geometry.lanes import LANES, gather_offsets, scale_counts
+from cgf.geometry.lanes import LANES, gather_offsets, rounded, scale_counts
 from cgf.geometry.parallel import for_each_block
 
 _BLOCK = 64
@@ -27,6 +28,9 @@ _GATHERED = 1024
 """Neighbours looked at together; they and their bins stay in the processor's first cache."""
 _RUN = 256
 """Points gathered in one go."""
+_NO_ROWS = np.empty((0, 0, 0), np.float32)
+_NO_TILES = np.empty(0, np.uint16)
+"""Where histograms are not to be written."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,33 +81,61 @@ class HistogramGrid:
             insets: Of each support, by how many shells it is smaller; see `nested_scales`.
             room: Memory for the histograms; new memory, which takes about as long to get as to fill, if None.
         """
-        edges = shell_edges(max(insets), support_radius=self.support_radius, min_radius=self.min_radius)
-        sq_edges = padded_edges(np.square(edges).astype(np.float32))
-        centers_32, frames_32 = self.grid.local(centers), frames.astype(np.float32)
-        normals = None if self.normals is None else tuple(self.normals)
-        size = HISTOGRAM_BINS * (1 if normals is None else CHANNELS)
+        size = HISTOGRAM_BINS * (1 if self.normals is None else CHANNELS)
         shape = (len(centers), len(insets), size)
         rows = np.empty(shape, np.float32) if room is None else room[: np.prod(shape)].reshape(shape)
         counts = np.empty(len(centers), np.int64)
 
         def fill(part: slice) -> None:
-            _fill_histograms(
-                centers_32[part],
-                frames_32[part],
-                tuple(self.grid.xyz),
-                normals,
-                *self.grid.cells(),
-                np.float32(self.support_radius),
-                sq_edges,
-                len(edges),
-                soft,
-                insets,
-                rows[part],
-                counts[part],
-            )
+            self._fill(centers[part], frames[part], soft, insets, rows[part], _NO_TILES, counts[part])
 
         for_each_block(fill, len(centers), block=_BLOCK)
         return rows, counts
+
+    def fill_tiles(
+        self,
+        centers: Float64[np.ndarray, "K 3"],
+        frames: Float64[np.ndarray, "K 3 3"],
+        *,
+        soft: bool,
+        insets: tuple[int, ...],
+        tiles: UInt16[np.ndarray, "N 12 T 32 32"],
+    ) -> Int64[np.ndarray, "K"]:
+        """Write oriented histograms as `nested_histograms` gives them, one support after the other, into `tiles`.
+
+        They are rounded to bfloat16, and ordered as `histogram_order` says; see `histogram_room`. Gives the numbers of
+        neighbours.
+        """
+        counts = np.empty(len(centers), np.int64)
+        self._fill(centers, frames, soft, insets, _NO_ROWS, tiles.reshape(-1), counts)
+        return counts
+
+    def _fill(
+        self,
+        centers: Float64[np.ndarray, "K 3"],
+        frames: Float64[np.ndarray, "K 3 3"],
+        soft: bool,
+        insets: tuple[int, ...],
+        rows: Float32[np.ndarray, "R S B"],
+        tiles: UInt16[np.ndarray, "_"],
+        counts: Int64[np.ndarray, "K"],
+    ) -> None:
+        edges = shell_edges(max(insets), support_radius=self.support_radius, min_radius=self.min_radius)
+        _fill_histograms(
+            self.grid.local(centers),
+            frames.astype(np.float32),
+            tuple(self.grid.xyz),
+            None if self.normals is None else tuple(self.normals),
+            *self.grid.cells(),
+            np.float32(self.support_radius),
+            padded_edges(np.square(edges).astype(np.float32)),
+            len(edges),
+            soft,
+            insets,
+            rows,
+            tiles,
+            counts,
+        )
 
 
 def shell_edges(inset: int, *, support_radius: float, min_radius: float) -> Float64[np.ndarray, "E"]:
@@ -155,7 +187,21 @@ def unit_normals(normals: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 
 @njit(cache=True, nogil=True)
 @no_type_check
 def _fill_histograms(
-    centers, frames, points, normals, starts, shape, cell_size, radius, sq_edges, edges, soft, insets, rows, counts
+    centers,
+    frames,
+    points,
+    normals,
+    starts,
+    shape,
+    cell_size,
+    radius,
+    sq_edges,
+    edges,
+    soft,
+    insets,
+    rows,
+    tiles,
+    counts,
 ):
     sq_radius = radius * radius
     size = _GATHERED + LANES
@@ -163,6 +209,7 @@ def _fill_histograms(
     bins = np.empty(size, np.uint32)
     shells = edges + 1
     columns = ELEVATION_BINS * shells
+    size_of_row = HISTOGRAM_BINS * CHANNELS
     if normals is None:
         hits = np.empty(HALF_SECTORS * columns + 1, np.int32)
         quarters = np.empty((AZIMUTH_BINS, columns), np.int32)
@@ -223,7 +270,10 @@ def _fill_histograms(
             counts[k] = total + gathered - (sums[-1, 0] & 0xFFFFFFFF)
             _add_half_sectors(sums[:-1].reshape(-1).view(np.int32).reshape(HALF_SECTORS, -1), soft, quarters)
             for support in range(len(insets)):
-                _cut_oriented(quarters.reshape(-1), shells, counts[k], insets[support], rows[k, support])
+                number = k * len(insets) + support
+                row = rows.reshape(-1)[number * size_of_row : (number + 1) * size_of_row]
+                to = (number // EDGE * AZIMUTH_BINS * HISTOGRAM_STEPS * EDGE + number % EDGE) * DEPTH
+                _cut_oriented(quarters.reshape(-1), shells, counts[k], insets[support], row, tiles, to)
 
 
 @njit(cache=True, nogil=True)
@@ -282,8 +332,8 @@ def _cut_support(quarters, shells, count, inset, row):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _cut_oriented(quarters, shells, count, inset, row):
-    """As `_cut_support`, of sums that stand together for each bin."""
+def _cut_oriented(quarters, shells, count, inset, row, tiles, to):
+    """As `_cut_support`, of sums that stand together for each bin; or into the row of `tiles` that begins at `to`."""
     total = 4 * count
     if inset > 0:
         for start in range(0, len(quarters), shells * CHANNELS):
@@ -295,7 +345,6 @@ def _cut_oriented(quarters, shells, count, inset, row):
     for place in range(AZIMUTH_BINS * ELEVATION_BINS):
         start = place * shells * CHANNELS
         sector, elevation = divmod(place, ELEVATION_BINS)
-        to = sector * COLUMN_BINS * CHANNELS + elevation * RADIAL_BINS
         innermost, along, away, around = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
         for j in range(start, start + (surplus + 1) * CHANNELS, CHANNELS):
             innermost += quarters[j]
@@ -303,10 +352,27 @@ def _cut_oriented(quarters, shells, count, inset, row):
             away += quarters[j + 2]
             around += quarters[j + 3]
         merged = np.float32(innermost)
-        root = np.sqrt(scale * merged)
-        part = scale / max(root, np.float32(1e-20))
-        row[to] = root
-        row[to + COLUMN_BINS] = part * (step * np.float32(along) - merged)
-        row[to + 2 * COLUMN_BINS] = part * (step * np.float32(away) - merged)
-        row[to + 3 * COLUMN_BINS] = part * (step * np.float32(around) - merged)
-        fill_channels(quarters, start + (surplus + 1) * CHANNELS, scale, row, to + 1, COLUMN_BINS)
+        root = part = np.float32(0.0)
+        if innermost > 0:
+            root = np.sqrt(scale * merged)
+            part = scale / root
+        along_z = part * (step * np.float32(along) - merged)
+        off_axis = part * (step * np.float32(away) - merged)
+        around_axis = part * (step * np.float32(around) - merged)
+        first = start + (surplus + 1) * CHANNELS
+        if len(tiles) == 0:
+            at = sector * COLUMN_BINS * CHANNELS + elevation * RADIAL_BINS
+            row[at] = root
+            row[at + COLUMN_BINS] = along_z
+            row[at + 2 * COLUMN_BINS] = off_axis
+            row[at + 3 * COLUMN_BINS] = around_axis
+            fill_channels(quarters, first, scale, row, at + 1, COLUMN_BINS)
+        else:
+            column = to + sector * HISTOGRAM_STEPS * EDGE * DEPTH
+            after = elevation * CHANNELS
+            at = column + (INNERMOST_STEP + after // DEPTH) * EDGE * DEPTH + after % DEPTH
+            tiles[at] = rounded(root)
+            tiles[at + 1] = rounded(along_z)
+            tiles[at + 2] = rounded(off_axis)
+            tiles[at + 3] = rounded(around_axis)
+            fill_steps(quarters, first, scale, tiles, column + elevation * STEPS_OF_ELEVATION * EDGE * DEPTH)

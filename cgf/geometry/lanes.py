@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, no_type_check
 
+import numpy as np
 from llvmlite import ir
-from numba import types
+from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -133,6 +134,15 @@ class Writer:
     def store_each(self, lanes: Lanes, base: Any, index: Any) -> None:
         self.builder.store(lanes.value, self._address(base, index, lanes.value.type), align=4)
 
+    def store_rounded(self, lanes: Lanes, base: Any, index: Any) -> None:
+        """Store the upper halves of numbers, rounded to the nearest, ties to even: bfloat16."""
+        bits = Lanes(self.builder, self.builder.bitcast(lanes.value, _INTS))
+        half = self.repeat(16)
+        odd = Lanes(self.builder, self.builder.lshr(bits.value, half.value)) & self.repeat(1)
+        upper = self.builder.lshr((bits + self.repeat(0x7FFF) + odd).value, half.value)
+        shorts = self.builder.trunc(upper, ir.VectorType(ir.IntType(16), LANES))
+        self.store_each(Lanes(self.builder, shorts), base, index)
+
     def call(self, name: str, *arguments: Lanes) -> Lanes:
         """An instruction whose result has the type of its first argument."""
         values = [argument.value for argument in arguments]
@@ -174,8 +184,13 @@ class Writer:
         return Lanes(self.builder, self.builder.shuffle_vector(low, high, ir.Constant(_INTS, both)))
 
     def count_true(self, lanes: Lanes) -> Any:
-        bits = Lanes(self.builder, self.builder.bitcast(lanes.value, ir.IntType(LANES)))
-        return self.builder.zext(self.call(f"llvm.ctpop.i{LANES}", bits).value, INT64)
+        return self.builder.zext(self.call(f"llvm.ctpop.i{LANES}", self._bits(lanes)).value, INT64)
+
+    def any_true(self, lanes: Lanes) -> Any:
+        return self.builder.icmp_unsigned("!=", self._bits(lanes).value, ir.IntType(LANES)(0))
+
+    def _bits(self, lanes: Lanes) -> Lanes:
+        return Lanes(self.builder, self.builder.bitcast(lanes.value, ir.IntType(LANES)))
 
     def _address(self, base: Any, index: Any, kind: Any) -> Any:
         return self.builder.bitcast(self.builder.gep(base, [index]), kind.as_pointer())
@@ -224,3 +239,20 @@ def scale_counts(_context, counts, start, scale, shares, to):
         return context.get_dummy_value()
 
     return types.none(counts, start, scale, shares, to), generate
+
+
+@intrinsic
+@no_type_check
+def _bits(_context, value):
+    def generate(_context, builder, _signature, args):
+        return builder.bitcast(args[0], INT32)
+
+    return types.uint32(value), generate
+
+
+@njit(inline="always")
+@no_type_check
+def rounded(value):
+    """One number as `Writer.store_rounded` stores many."""
+    bits = _bits(value)
+    return np.uint16((bits + np.uint32(0x7FFF) + ((bits >> np.uint32(16)) & np.uint32(1))) >> np.uint32(16))

@@ -5,6 +5,7 @@ import pytest
 
 from cgf.descriptors import amx
 from cgf.descriptors.network import read_network, shipped_weights
+from cgf.descriptors.tile_layout import to_bfloat16
 from tests.histograms import random_histograms
 
 tiles = pytest.mark.skipif(not amx.has_tiles(), reason="the processor multiplies no tiles of bfloat16 (AMX)")
@@ -18,7 +19,7 @@ def network_by_definition(weights, rows):
     """In double precision, with what the tiles are given rounded to bfloat16."""
 
     def rounded(numbers):
-        return as_float(amx.to_bfloat16(np.ascontiguousarray(numbers, np.float32))).astype(np.float64)
+        return as_float(to_bfloat16(np.ascontiguousarray(numbers, np.float32))).astype(np.float64)
 
     def layer(inputs, name):
         return np.maximum(rounded(inputs) @ rounded(weights[f"{name}.weight"]).T + weights[f"{name}.bias"], 0)
@@ -44,7 +45,7 @@ def random_weights(width, hidden, inputs):
 def test_rounding_is_to_the_nearest_and_ties_go_to_even():
     values = np.array([1.0, 1 + 2**-8, 1 + 3 * 2**-8, 1 + 2**-8 + 2**-20, -3.14159, 0.0], np.float32)
     expected = [1.0, 1.0, 1 + 2**-6, 1 + 2**-7, -3.140625, 0.0]
-    assert as_float(amx.to_bfloat16(values)).tolist() == expected
+    assert as_float(to_bfloat16(values)).tolist() == expected
 
 
 @tiles

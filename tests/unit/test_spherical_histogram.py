@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+from cgf.descriptors.settings import CHANNELS
 from cgf.descriptors.spherical_histogram import HISTOGRAM_BINS, histogram_grid, nested_scales
+from cgf.descriptors.tile_layout import histogram_order, histogram_room, to_bfloat16
 
 SUPPORT, LEAST = 0.9, 0.08
 
@@ -113,6 +115,26 @@ def test_oriented_histograms_of_nested_supports_are_those_described_one_by_one()
         expected, _ = alone.nested_histograms(points[:40], frames, soft=True, insets=(0,))
         # Edges are rounded, so a neighbour may fall on the other side of one, which changes the scale of all.
         assert (np.abs(rows[:, place] - expected[:, 0]) > 0.002).mean() < 1e-3
+
+
+def test_tiles_hold_the_same_histograms_rounded():
+    rng = np.random.default_rng(8)
+    points, normals = rng.uniform(-1, 1, size=(400, 3)), rng.normal(size=(400, 3))
+    points[:, 2] *= 0.1  # as most surfaces do, these leave most bins empty
+    frames, insets = np.stack([random_frame(rng) for _ in range(35)]), (0, 3, 7)
+    grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=normals)
+    rows, neighbors = grid.nested_histograms(points[:35], frames, soft=True, insets=insets)
+    tiles = histogram_room(35 * len(insets))
+    assert tiles.ctypes.data % 64 == 0
+    counts = grid.fill_tiles(points[:35], frames, soft=True, insets=insets, tiles=tiles)
+    np.testing.assert_array_equal(counts, neighbors)
+    order = histogram_order(CHANNELS)
+    assert sorted(order) == list(range(4 * 187))
+    found = tiles.transpose(0, 3, 1, 2, 4).reshape(-1, 12, 24 * 32)
+    expected = to_bfloat16(rows).reshape(-1, 12, 4 * 187)[:, :, order]
+    np.testing.assert_array_equal(found[: len(expected), :, : len(order)], expected)
+    assert not found[len(expected) :].any()
+    assert not found[:, :, len(order) :].any()
 
 
 def test_normals_have_a_direction_only():
