@@ -285,7 +285,7 @@ def _serve(session: "Session", listening: socket.socket, options: argparse.Names
     session.start()
     with contextlib.ExitStack() as running:
         running.callback(session.close)
-        try:
+        with contextlib.suppress(KeyboardInterrupt):
             from app.loading import Loader, Recent, recent_file
             from app.routes import create_app
             from app.viewer.live import LiveScene
@@ -299,9 +299,8 @@ def _serve(session: "Session", listening: socket.socket, options: argparse.Names
             running.callback(loader.close)
             app = Guard(create_app(session, scene, loader), token=token, hosts=[options.host, socket.gethostname()])
             make_server(app, debug=options.debug).run(sockets=[listening])
-        except KeyboardInterrupt:
-            # How a viewer is meant to be stopped.
-            print()
+    # A signal is how a viewer is meant to be stopped; the server may or may not raise it again.
+    print()
     # Python would wait for threads in the middle of a computation that nobody wants any more.
     sys.stdout.flush()
     sys.stderr.flush()
