@@ -28,10 +28,6 @@ from cgf import pipeline
 from cgf.checks import InputError
 from cgf.types import Transform
 
-PROGRESS_INTERVAL_S = 0.25
-"""Between two notices of one stage's progress: each has the browser paint the page, scene included, which without a
-graphics card takes the time of the computation itself."""
-
 
 class Session:
     """One run of the viewer. Its methods may be called from any thread; listeners are called from several."""
@@ -64,7 +60,6 @@ class Session:
         self._lock = threading.RLock()
         self._listeners = Listeners()
         self._settings = settings
-        self._progress_told = 0.0
         self._revision = 0
         self._status = STARTING
         self._error: str | None = None
@@ -411,14 +406,9 @@ class Session:
         self._revision += 1
 
     def _on_progress(self, share: float, text: str) -> None:
-        now = time.monotonic()
         with self._lock:
-            news = text != self._status.text or now - self._progress_told >= PROGRESS_INTERVAL_S
             self._status = Status("working", text, share)
-            if news:
-                self._progress_told = now
-        if news:
-            self._listeners.notify()
+        self._listeners.notify()
 
     def _on_error(self, error: Exception) -> None:
         with self._lock:

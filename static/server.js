@@ -21,10 +21,11 @@ export const offline = () => isOffline;
 /** Call `listener` after every change of the state, of its status alone where its argument says so. */
 export const listen = (listener) => listeners.push(listener);
 
-// Where no graphics card helps, painting the page and drawing the scene wait for each other: a change's colours go first,
-// then what the page says of it, and what it would say only until then is left out.
+// Where no graphics card helps, painting the page and drawing the scene wait for each other and for what is computed: a
+// change's colours go first, then what the page says of it, and what it would say only until then is left out.
 const AFTER_COLORS_MS = 60;
 const LONGEST_MS = 150;
+const PREVIEWED_MS = 1000; // a preview says less than its colours do
 let due = null; // a timer
 let dueBy = null;
 
@@ -38,9 +39,10 @@ function tell({ onlyStatus = false } = {}) {
 
 function tellAfterColors() {
   const now = performance.now();
-  dueBy ??= now + LONGEST_MS;
+  const isPreview = latest.previewed !== null;
+  dueBy = Math.min(dueBy ?? Infinity, now + (isPreview ? PREVIEWED_MS : LONGEST_MS));
   clearTimeout(due);
-  due = setTimeout(tell, Math.min(AFTER_COLORS_MS, dueBy - now));
+  due = setTimeout(tell, Math.min(isPreview ? PREVIEWED_MS : AFTER_COLORS_MS, dueBy - now));
 }
 
 // One request at a time: while one is under way, later changes gather and go together.
@@ -108,7 +110,7 @@ export function connect() {
     if (!latest) return;
     isOffline = false;
     latest.status = JSON.parse(event.data);
-    tell({ onlyStatus: true });
+    tell({ onlyStatus: dueBy === null });
   });
   events.onerror = lost;
 }

@@ -21,7 +21,11 @@ function hasGraphicsCard() {
 }
 
 // Viser takes messages in at the start of a frame, which still shows the scene before them. Taken in as they arrive, they
-// are shown by the next frame, not by the one after it.
+// are shown by the next frame, not by the one after it. After every request it also goes on drawing for a quarter of a
+// second, which without a graphics card takes processors from what is computed: there it draws once, and once more only
+// after what React may have to add.
+const AFTER_REACT_MS = 120;
+const drawsOnce = !hasGraphicsCard();
 let exposed;
 Object.defineProperty(window, "__viserMutable", {
   configurable: true,
@@ -29,9 +33,18 @@ Object.defineProperty(window, "__viserMutable", {
   set: (viewer) => {
     exposed = viewer;
     let request = viewer.requestRender;
+    let last = null; // a timer
     const takeInAndRequest = () => {
-      if (viewer.messageQueue.length && viewer.getRenderRequestState === "ready") viewer.drainMessageQueue?.();
-      request();
+      const isReady = viewer.getRenderRequestState === "ready";
+      const needsReact = !viewer.messageQueue.every(({ type }) => type === "SceneNodeUpdateMessage");
+      if (viewer.messageQueue.length && isReady) viewer.drainMessageQueue?.();
+      const draw = isReady && drawsOnce ? viewer.scene?.__r3f?.root?.getState?.().invalidate : null;
+      if (!draw) return request();
+      draw();
+      if (needsReact) {
+        clearTimeout(last);
+        last = setTimeout(draw, AFTER_REACT_MS);
+      }
     };
     Object.defineProperty(viewer, "requestRender", {
       configurable: true, get: () => takeInAndRequest, set: (next) => { request = next; },

@@ -15,6 +15,9 @@ from app.snapshot import Snapshot
 from app.state_text import read_state, restored
 
 KEEP_ALIVE_S = 15.0
+STATUS_INTERVAL_S = 1.0
+"""From one event to the next that tells of progress only: each has the browser paint the page, scene included, which
+without a graphics card takes processors from the computation itself."""
 
 
 def router(session: Session) -> APIRouter:
@@ -58,7 +61,7 @@ async def _events(session: Session) -> AsyncIterator[str]:
             loop.call_soon_threadsafe(changed.set)
 
     forget = session.listen(on_change)
-    sent_revision = -1
+    sent_revision, sent_at = -1, 0.0
     try:
         while True:
             changed.clear()
@@ -66,8 +69,12 @@ async def _events(session: Session) -> AsyncIterator[str]:
             if snapshot.revision != sent_revision:
                 sent_revision = snapshot.revision
                 yield _event("state", asdict(snapshot))
+            elif (wait_s := sent_at + STATUS_INTERVAL_S - loop.time()) > 0:
+                await _set_within(changed, wait_s)
+                continue
             else:
                 yield _event("status", asdict(snapshot.status))
+            sent_at = loop.time()
             # A comment now and then keeps proxies and SSH tunnels from closing an idle connection.
             while not await _set_within(changed, KEEP_ALIVE_S):
                 yield ": still here\n\n"
