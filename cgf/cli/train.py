@@ -70,6 +70,14 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     recipe.add_argument("--join-steps", type=int, metavar="N", help="minibatches in which that is learned, at the end")
     recipe.add_argument("--batch", type=int, metavar="N", help="correspondences or triplets a minibatch")
     recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")
+    recipe.add_argument(
+        "--scenes-per-batch", type=int, metavar="N", help="scenes or meshes these are of (default: any)"
+    )
+    recipe.add_argument(
+        "--negatives",
+        choices=("overlap", "place"),
+        help="of the same scene: from the same pair of clouds, or wherever poses are known (default: overlap)",
+    )
     recipe.add_argument("--learning-rate", type=float, metavar="X", help="default: 1e-3, or 1e-4 for paper")
     recipe.add_argument("--temperature", type=float, metavar="X", help="of the contrastive loss")
     recipe.add_argument("--weight-decay", type=float, metavar="X", help="of the contrastive recipe (default: 0.01)")
@@ -79,6 +87,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--normal-radii", type=float, nargs="+", metavar="R", help="clouds with normals estimated anew, in voxels"
     )
     augmentation.add_argument("--stretch", type=float, metavar="X", help="clouds along random axes, by up to 1 + X")
+    augmentation.add_argument("--bend", type=float, metavar="X", help="clouds by waves, each of which stretches by X")
     augmentation.add_argument("--mirror", type=float, metavar="SHARE", help="of overlaps that are mirrored")
     augmentation.add_argument("--holes", type=float, metavar="SHARE", help="of clouds that lose some balls of points")
     augmentation.add_argument("--cut", type=float, metavar="SHARE", help="of clouds that end at a random plane")

@@ -1,6 +1,6 @@
 """Batches for the contrastive recipe: each is a function of the seed and its number, so a run can resume anywhere."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
@@ -49,10 +49,13 @@ class Batches:
         insets: tuple[int, ...] = (0,),
         oriented: bool = False,
         joined: bool = False,
+        negatives: Literal["overlap", "place"] = "overlap",
+        scenes: int | None = None,
     ) -> None:
         """Of the supports smaller by `insets`, each overlap is described in one, or, if `joined`, in all.
 
         Histograms are `oriented`, with soft azimuth sectors if the frame is random, or as in the paper.
+        Negatives of the same scene come from the same overlap or place; each batch is of so many `scenes`, or of any.
         `share` says which of the `per_batch` overlaps' histograms are computed; others do without.
         """
         self.fragments = fragments
@@ -60,6 +63,7 @@ class Batches:
         self.lrf_radius, self.frame = lrf_radius, frame
         self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
         self.insets, self.oriented, self.joined = insets, oriented, joined
+        self.negatives, self.scenes = negatives, scenes
         self._scales = nested_scales(insets, support_radius=support_radius, min_radius=min_radius)
         self._own = range(per_batch)[share]
         self._scenes: dict[int, list[Overlap]] = {}
@@ -71,40 +75,61 @@ class Batches:
         """Batch number `step`."""
         share = self.size // self.per_batch
         sources: list[np.ndarray] = []
-        targets, positions, partners, scenes = [], [], [], []
+        targets, moved, partners, overlaps = [], [], [], []
+        scenes = list(self._scenes)
+        if self.scenes is not None:
+            scenes = np.random.default_rng([self.seed, 8, step]).permutation(scenes)[: self.scenes].tolist()
         for number in range(self.per_batch):
             # Its own, so that no overlap depends on what was drawn for the others.
             rng = np.random.default_rng([self.seed, 7, step, number])
-            scene, overlap, rows, partner_rows = self._overlap(share, rng)
+            overlap, rows, partner_rows = self._overlap(scenes, share, rng)
             source, target = self.fragments.clouds[overlap.source], self.fragments.clouds[overlap.target]
             if number in self._own:
                 jitter, shape = self.augmentation.radius_jitter, self.augmentation.draw_shape(rng)
-                factor, turn = rng.uniform(1 - jitter, 1 + jitter), overlap.target_from_source[:3, :3]
+                factor = rng.uniform(1 - jitter, 1 + jitter)
+                bend = self.augmentation.draw_bend(self.support_radius, rng)
                 if len(self.insets) > 1 and not self.joined:
                     factor *= self._scales[int(rng.integers(len(self._scales)))]
                 normals = [self._normals(cloud, rng) for cloud in (overlap.source, overlap.target)]
-                sources.append(self._histograms(source.points, normals[0], rows, factor, shape @ turn, rng))
-                targets.append(self._histograms(target.points, normals[1], partner_rows, factor, shape, rng))
-            positions.append(apply(overlap.target_from_source, source.points[rows]))
-            partners.append(target.points[partner_rows])
-            scenes.append(scene)
-        ignored = np.repeat(np.repeat(np.equal.outer(scenes, scenes), share, axis=0), share, axis=1)
-        for number, (moved, true) in enumerate(zip(positions, partners, strict=True)):
-            block = slice(number * share, (number + 1) * share)
-            ignored[block, block] = np.linalg.norm(moved[:, None] - true[None], axis=2) < 1.5 * self.tau
+                turn = overlap.target_from_source
+                bent = bend(apply(turn, source.points), normals[0] @ turn[:3, :3].T)
+                sources.append(self._histograms(*bent, rows, factor, shape, rng))
+                bent = bend(target.points, normals[1])
+                targets.append(self._histograms(*bent, partner_rows, factor, shape, rng))
+            place_from_source = overlap.place_from_target @ overlap.target_from_source
+            moved.append(apply(place_from_source, source.points[rows]))
+            partners.append(apply(overlap.place_from_target, target.points[partner_rows]))
+            overlaps.append(overlap)
+        ignored = self._ignored(overlaps, np.concatenate(moved), np.concatenate(partners))
         np.fill_diagonal(ignored, False)
         return Batch(np.concatenate(sources), np.concatenate(targets), ignored)
 
-    def _overlap(self, count: int, rng: np.random.Generator) -> tuple[int, Overlap, np.ndarray, np.ndarray]:
-        """An overlap of a random scene, with rows of `count` correspondences."""
+    def _ignored(
+        self, overlaps: list[Overlap], moved: Float64[np.ndarray, "B 3"], partners: Float64[np.ndarray, "B 3"]
+    ) -> Bool[np.ndarray, "B B"]:
+        """Which partners of others are no negatives: those near, and those of the scene that may be."""
+        rows = np.repeat(np.arange(len(overlaps)), len(moved) // len(overlaps))
+        scenes, places = np.array([[overlap.scene, overlap.place] for overlap in overlaps]).T
+        same_overlap, same_scene = np.equal.outer(rows, rows), np.equal.outer(scenes, scenes)[rows][:, rows]
+        known = same_overlap
+        if self.negatives == "place":
+            known = same_scene & np.equal.outer(places, places)[rows][:, rows]
+        # Two fragments of a place lie less exactly than two that were registered with each other.
+        least = np.where(same_overlap, 1.5, 3.0) * self.tau
+        return same_scene & (~known | (np.linalg.norm(moved[:, None] - partners[None], axis=2) < least))
+
+    def _overlap(
+        self, scenes: list[int], count: int, rng: np.random.Generator
+    ) -> tuple[Overlap, np.ndarray, np.ndarray]:
+        """An overlap of one of the scenes, with rows of `count` correspondences."""
         while True:
-            scene = int(rng.choice(list(self._scenes)))
+            scene = int(rng.choice(scenes))
             overlap = self._scenes[scene][int(rng.integers(len(self._scenes[scene])))]
             if rng.random() < 0.5:
                 overlap = _reversed(overlap)
             found = self._correspondences(overlap, count, rng)
             if found is not None:
-                return scene, overlap, *found
+                return overlap, *found
 
     def _correspondences(
         self, overlap: Overlap, count: int, rng: np.random.Generator
@@ -155,4 +180,11 @@ class Batches:
 
 def _reversed(overlap: Overlap) -> Overlap:
     inverse = np.linalg.inv(overlap.target_from_source)
-    return Overlap(overlap.target, overlap.source, inverse, overlap.scene, overlap.voxel_size)
+    place_from_source = overlap.place_from_target @ overlap.target_from_source
+    return replace(
+        overlap,
+        source=overlap.target,
+        target=overlap.source,
+        target_from_source=inverse,
+        place_from_target=place_from_source,
+    )

@@ -12,9 +12,10 @@ from cgf.descriptors.settings import ModelDefaults
 from cgf.geometry.normals import estimate_normals
 from cgf.geometry.sampling import voxel_downsample
 from cgf.io import read_cloud, read_log
+from cgf.io.poses import LogEntry
 from cgf.training.overlap import overlapping_pairs
 from cgf.training.render import render_views
-from cgf.types import PointCloud, Progress
+from cgf.types import PointCloud, Progress, Transform
 
 _MESH_SUFFIXES = {".ply", ".obj", ".stl", ".off"}
 
@@ -30,6 +31,10 @@ class Overlap:
     """Two overlaps of one scene may show the same place."""
     voxel_size: float
     """The larger of the two clouds' voxel sizes."""
+    place_from_target: Float64[np.ndarray, "4 4"] = field(default_factory=lambda: np.eye(4))
+    """Into a frame that the overlaps of a place have in common."""
+    place: int = 0
+    """Of the scene: how two places lie to each other is not known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +117,33 @@ def fragments_of_scenes(
                 clouds.append(voxel_downsample(cloud, size))
                 by_size[size].append(clouds[-1])
         groups.extend(by_size.values())
+        places = _places(entries)
         for entry in entries:
+            place, pose = places[entry.target]
             for size, other in _size_pairs(voxel_sizes):
                 source, target = first[entry.source, size], first[entry.target, other]
-                overlaps.append(Overlap(source, target, entry.target_from_source, scene, max(size, other)))
+                overlaps.append(Overlap(source, target, entry.target_from_source, scene, max(size, other), pose, place))
     return _checked(Fragments(clouds, overlaps, groups), *folders)
+
+
+def _places(entries: list[LogEntry]) -> dict[int, tuple[int, Transform]]:
+    """For each cloud, the number of its place and its pose there: clouds that a chain of poses joins share one."""
+    neighbors: dict[int, list[tuple[int, Transform]]] = {}
+    for entry in entries:
+        neighbors.setdefault(entry.source, []).append((entry.target, np.linalg.inv(entry.target_from_source)))
+        neighbors.setdefault(entry.target, []).append((entry.source, entry.target_from_source))
+    places: dict[int, tuple[int, Transform]] = {}
+    for first in sorted(neighbors):
+        if first in places:
+            continue
+        places[first] = (first, np.eye(4))
+        reached = [first]
+        for number in reached:
+            for other, from_other in neighbors[number]:
+                if other not in places:
+                    places[other] = (first, places[number][1] @ from_other)
+                    reached.append(other)
+    return places
 
 
 def with_other_normals(fragments: Fragments, radii: tuple[float, ...], *, progress: Progress) -> Fragments:

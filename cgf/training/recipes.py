@@ -137,12 +137,18 @@ def _contrastive(
         size=settings.batch,
         per_batch=settings.overlaps_per_batch,
         augmentation=Augmentation(
-            stretch=settings.stretch, mirror=settings.mirror, holes=settings.holes, cut=settings.cut
+            stretch=settings.stretch,
+            bend=settings.bend,
+            mirror=settings.mirror,
+            holes=settings.holes,
+            cut=settings.cut,
         ),
         seed=settings.seed,
         share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
         insets=settings.insets,
         oriented=settings.chosen_histogram == "normals",
+        negatives=settings.negatives,
+        scenes=settings.scenes_per_batch,
     )
 
     def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:

@@ -52,6 +52,10 @@ class TrainSettings:
     """Correspondences (contrastive) or triplets (paper) per minibatch."""
     overlaps_per_batch: int = 8
     """Overlapping pairs that the correspondences of one minibatch come from."""
+    scenes_per_batch: int | None = None
+    """Scenes, or meshes, that these are of; None stands for any number."""
+    negatives: Literal["overlap", "place"] = "overlap"
+    """Which partners of others in a scene are negatives: those of the same overlap, or of all whose poses are known."""
     learning_rate: float | None = None
     """None stands for 1e-3 (contrastive) or the paper's 1e-4."""
     temperature: float = 0.07
@@ -70,6 +74,8 @@ class TrainSettings:
     """In voxels: normals are estimated again within these, and each cloud takes one of all its estimates at a time."""
     stretch: float = 0.0
     """Clouds are stretched along random axes by up to 1 plus this, or shrunk by as much."""
+    bend: float = 0.0
+    """Clouds are bent by four waves, each of which stretches them by up to this."""
     mirror: float = 0.0
     """Share of the overlaps that are mirrored."""
     holes: float = 0.0
@@ -137,6 +143,10 @@ class TrainSettings:
             raise ValueError(
                 f"--dropout must be 0 but for the azimuth network and contrastive recipe, got {self.dropout:g}"
             )
+        if self.scenes_per_batch is not None and self.scenes_per_batch < 1:
+            raise ValueError(f"--scenes-per-batch must be 1 or more, got {self.scenes_per_batch}")
+        if not 0 <= self.bend < 0.5:
+            raise ValueError(f"--bend must be 0 or more and below 0.5, got {self.bend:g}")
         for name in ("stretch", "mirror", "holes", "cut"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"--{name} must lie between 0 and 1, got {getattr(self, name):g}")

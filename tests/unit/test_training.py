@@ -326,32 +326,6 @@ def test_cards_say_which_steps_from_the_paper_to_ours_were_taken(
     assert (abs(lengths - 1) < 1e-5).all() == nested
 
 
-def test_stretching_and_mirroring_keep_frames_right(fragments):
-    """A mirrored cloud is described as if it had been scanned that way: z is its normal, frames are right-handed."""
-    augmentation, rng = Augmentation(stretch=0.3, mirror=0.5), np.random.default_rng(0)
-    shapes = [augmentation.draw_shape(rng) for _ in range(40)]
-    determinants = np.linalg.det(shapes)
-    assert {-1.0, 1.0} == set(np.sign(determinants))
-    stretches = np.linalg.svd(shapes, compute_uv=False)
-    assert stretches.max() < 1.3
-    assert stretches.min() > 1 / 1.3
-    assert stretches.max() > 1.2
-    frames = augmentation.draw_frames(fragments.clouds[0].normals[:50], rng)
-    np.testing.assert_allclose(frames @ frames.transpose(0, 2, 1), np.tile(np.eye(3), (50, 1, 1)), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.det(frames), 1)
-
-
-def test_holes_and_edges_take_points_away(fragments):
-    cloud, rng = fragments.clouds[0], np.random.default_rng(0)
-    plain = Augmentation(keep_at_least=1.0)
-    assert plain.draw_kept(cloud.points, 0.17, rng).all()
-    for other in (Augmentation(keep_at_least=1.0, holes=1.0), Augmentation(keep_at_least=1.0, cut=1.0)):
-        shares = [other.draw_kept(cloud.points, 0.17, rng).mean() for _ in range(10)]
-        assert 0.3 < np.mean(shares) < 1
-    few = Augmentation(holes=1.0, cut=1.0)
-    assert all(few.draw_kept(cloud.points[:12], 9.0, rng).sum() >= 10 for _ in range(20))
-
-
 def test_a_checkpoint_of_other_settings_is_refused(meshes, fragments, tmp_path, monkeypatch):
     monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: fragments)
     run(settings_for(meshes, tmp_path / "a.safetensors", steps=2), progress=silent)

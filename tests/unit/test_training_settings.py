@@ -28,6 +28,8 @@ from cgf.training.settings import TrainSettings
         ({"weight_decay": -0.1}, "--weight-decay must be 0 or more, got -0.1"),
         ({"dropout": 1.0}, "--dropout must be 0 or more and below 1, got 1"),
         ({"dropout": 0.1, "network": "paper"}, "--dropout must be 0 but for the azimuth network .* got 0.1"),
+        ({"scenes_per_batch": 0}, "--scenes-per-batch must be 1 or more, got 0"),
+        ({"bend": 0.5}, "--bend must be 0 or more and below 0.5, got 0.5"),
         ({"stretch": 1.5}, "--stretch must lie between 0 and 1, got 1.5"),
     ],
 )
