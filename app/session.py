@@ -51,7 +51,8 @@ class Session:
             disk: Where features and matches are kept from one run to the next; None keeps them nowhere.
             max_shown: Most points of one cloud that are drawn.
             patience_s: Left to a browser that paints new colours, before the pose is estimated, which takes all
-                processors; four times that before the diagnosis. Where it is not 0, other dimensions are matched ahead.
+                processors; four times that before the diagnosis, half after a preview. Where it is not 0, other
+                dimensions are matched ahead.
         """
         self._pairs = tuple(pairs)
         self._analyst = Analyst(
@@ -376,6 +377,8 @@ class Session:
             self._preview = preview
             self._redraw()
         self._listeners.notify()
+        # Else a preview is drawn hardly before what it is a preview of.
+        job.pause(self._patience_s / 2)
 
     def _drop_preview(self) -> None:
         """Draw the last good result again; called with the lock held."""

@@ -19,9 +19,9 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, INPUT_GAIN, HistogramKind
+from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, HISTOGRAM_BINS, INPUT_GAIN, HistogramKind
 from cgf.descriptors.tile_layout import DEPTH, EDGE, aligned_room, histogram_order, steps_of, to_bfloat16
-from cgf.geometry.lanes import INT64, LANES, Lanes, Writer
+from cgf.geometry.lanes import INT64, LANES, Lanes, Writer, rounded
 
 _ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA = 158, 0x1023, 18
 
@@ -243,6 +243,19 @@ def _convolve(columns, weights, sums, sector, block):
 
 @njit(cache=True, nogil=True)
 @no_type_check
+def _put_into_tiles(histograms, order, roots, tiles):
+    """Rounded, in the order of the tiles."""
+    for k in range(len(histograms)):
+        for sector in range(AZIMUTH_BINS):
+            values = histograms[k, sector * len(order) : (sector + 1) * len(order)]
+            for place in range(len(order)):
+                value = values[order[place]]
+                number = rounded(np.sqrt(value) if roots else value)
+                tiles[k // EDGE, sector, place // DEPTH, k % EDGE, place % DEPTH] = number
+
+
+@njit(cache=True, nogil=True)
+@no_type_check
 def _fill_hidden(tiles, first, second, third, last, biases, configuration, hidden):
     size = EDGE * DEPTH
     columns = aligned_room(AZIMUTH_BINS * len(first) * size).reshape(AZIMUTH_BINS, len(first), EDGE, DEPTH)
@@ -294,16 +307,12 @@ class TiledNetwork:
 
     def hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
         """The hidden layer, given these histograms, or their square roots, times `INPUT_GAIN`."""
-        values = np.sqrt(histograms) if self.histogram == "roots" else histograms
-        columns = values.reshape(len(values), AZIMUTH_BINS, -1)
-        order = histogram_order(columns.shape[2] // COLUMN_BINS)
-        steps, blocks = steps_of(len(order)), -(-len(columns) // EDGE)
-        padded = np.zeros((blocks * EDGE, AZIMUTH_BINS, steps * DEPTH), np.float32)
-        padded[: len(columns), :, : len(order)] = columns[:, :, order]
-        parts = to_bfloat16(padded).reshape(blocks, EDGE, AZIMUTH_BINS, steps, DEPTH).transpose(0, 2, 3, 1, 4)
-        tiles = aligned_room(parts.size).reshape(parts.shape)
-        tiles[:] = parts
-        return self.hidden_of_tiles(tiles, len(columns))
+        order = histogram_order(histograms.shape[1] // HISTOGRAM_BINS)
+        blocks, steps = -(-len(histograms) // EDGE), steps_of(len(order))
+        shape = (blocks, AZIMUTH_BINS, steps, EDGE, DEPTH)
+        tiles = aligned_room(int(np.prod(shape))).reshape(shape)
+        _put_into_tiles(histograms, order, self.histogram == "roots", tiles)
+        return self.hidden_of_tiles(tiles, len(histograms))
 
     def hidden_of_tiles(
         self, tiles: UInt16[np.ndarray, "N 12 T 32 32"], count: int

@@ -1,6 +1,7 @@
 """The spherical histogram of a neighbourhood: the input that the paper's network compresses (its section 4)."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import no_type_check
 
 import numpy as np
@@ -120,7 +121,7 @@ class HistogramGrid:
         tiles: UInt16[np.ndarray, "_"],
         counts: Int64[np.ndarray, "K"],
     ) -> None:
-        edges = shell_edges(max(insets), support_radius=self.support_radius, min_radius=self.min_radius)
+        sq_edges, edges = _edges_of(max(insets), self.support_radius, self.min_radius)
         _fill_histograms(
             self.grid.local(centers),
             frames.astype(np.float32),
@@ -128,8 +129,8 @@ class HistogramGrid:
             None if self.normals is None else tuple(self.normals),
             *self.grid.cells(),
             np.float32(self.support_radius),
-            padded_edges(np.square(edges).astype(np.float32)),
-            len(edges),
+            sq_edges,
+            edges,
             soft,
             insets,
             rows,
@@ -144,6 +145,13 @@ def shell_edges(inset: int, *, support_radius: float, min_radius: float) -> Floa
     # above it, where the paper's equation 1 has 17 above it; pinned by the golden test.
     shells = RADIAL_BINS - 1
     return np.asarray(min_radius * (support_radius / min_radius) ** (np.arange(-inset, shells) / shells))
+
+
+@lru_cache(maxsize=16)
+def _edges_of(inset: int, support_radius: float, min_radius: float) -> tuple[Float32[np.ndarray, "P"], int]:
+    """The edges as `find_bins` takes them, and how many there are; asked for again with every few points."""
+    edges = shell_edges(inset, support_radius=support_radius, min_radius=min_radius)
+    return padded_edges(np.square(edges).astype(np.float32)), len(edges)
 
 
 def nested_scales(insets: tuple[int, ...], *, support_radius: float, min_radius: float) -> tuple[float, ...]:
