@@ -20,7 +20,7 @@ from tests.app.serving import LONG_S, serve  # noqa: E402
 from tests.browser.driving import FLAGS, UNTIL_DRAWN  # noqa: E402
 
 SIZE = {"width": 1400, "height": 860}
-BAD_MATCH = 1728
+BAD_MATCH = 2305
 """A source point of the demo whose match is wrong, and some of whose runners-up are right."""
 
 # File name, tab, and settings that are not at their default.
