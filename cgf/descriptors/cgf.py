@@ -16,8 +16,8 @@ from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.parallel import for_each_block
 from cgf.types import Features, IsCancelled, PointCloud, Progress, raise_if_cancelled
 
-_BLOCK = 128
-"""Points described at a time by one thread."""
+_BLOCK, _TILED_BLOCK = 64, 128
+"""Points described at a time by one thread, without tiles and with them, which take half the memory."""
 
 
 class HistogramDescriptor:
@@ -84,11 +84,12 @@ class HistogramDescriptor:
         kept = threading.local()
 
         takes_tiles = self.network.takes_tiles
+        block = _TILED_BLOCK if takes_tiles else _BLOCK
 
         def fill(part: slice) -> None:
             raise_if_cancelled(cancelled)
             if not hasattr(kept, "room"):
-                supports = _BLOCK * len(card.insets)
+                supports = block * len(card.insets)
                 kept.room = (
                     histogram_room(supports)
                     if takes_tiles
@@ -111,7 +112,7 @@ class HistogramDescriptor:
 
         # Each of our threads multiplies its own matrices: quicker than all of them sharing one product.
         with threadpool_limits(1, user_api="blas"):
-            for_each_block(fill, len(rows), block=_BLOCK, finished=report)
+            for_each_block(fill, len(rows), block=block, finished=report)
         return self._features(cloud, rows, vectors, quality, filled)
 
     def _describe_on(
