@@ -5,11 +5,8 @@ Without a graphics card the scene is drawn by the processors that also compute, 
 
 import argparse
 import json
-import os
-import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,14 +15,12 @@ from typing import Any
 
 from benchmarks import inputs, report
 from benchmarks.timing import ROOT
+from tests.browser.chromium import FLAGS, UNTIL_DRAWN, find_chromium
 
-FLAGS = [
-    "--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--no-first-run", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-]  # fmt: skip
 SIZE = {"width": 1440, "height": 900}
-START_S, REST_S, LONGEST_S = 120, 3, 60
+LONGEST_S = 120
+LOOK_S = 3
+"""A person looks before the next change; meanwhile other dimensions are matched ahead."""
 
 WATCH = """(() => {
   if (!location.pathname.includes("/viewer")) return;
@@ -59,14 +54,24 @@ WATCH = """(() => {
 })()"""
 """Notes, in the scene's frame, when frames that take in new colours begin and when they are drawn."""
 
-CHANGE = """async (settings) => {
+CHANGE = f"""async (settings) => {{
   const server = await import(new URL("static/server.js", location.href));
+  const isDone = () => {{
+    const state = server.state();
+    return state?.settled && Object.entries(settings).every(([name, value]) => state.settings[name] === value);
+  }};
   const begun = performance.timeOrigin + performance.now();
-  server.change(settings);
+  if (Object.keys(settings).length) server.change(settings);
+  await new Promise((resolve, reject) => {{
+    server.listen(() => isDone() && resolve());
+    if (isDone()) resolve();
+    setTimeout(() => reject(new Error("the page has not settled within {LONGEST_S} s")), {1000 * LONGEST_S});
+  }});
   return begun;
-}"""
+}}"""
+"""Changes settings, if there are any, and resolves once everything shown belongs to them, to when it was asked for."""
 VIEWER = "import sys; from app.main import main; sys.exit(main())"
-HAS_POINTS = "() => (window.__viserTestpoints?.rendererInfo.render.points ?? 0) > 0"
+ALL_DRAWN = "() => window.__seen.every((frame) => frame.drawn !== null)"
 
 
 @dataclass(frozen=True)
@@ -84,7 +89,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, help="folder of the benchmark data; the demo where it is not given")
     parser.add_argument("--update", action="store_true", help="put the table into docs/performance.md")
     options = parser.parse_args()
-    browser = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+    browser = find_chromium()
     if browser is None:
         sys.exit("python -m benchmarks.page: needs Chromium or Chrome; install it, or set CHROMIUM to its path")
     rows = [
@@ -136,13 +141,15 @@ def _time(
         element = page.wait_for_selector("#scene")
         scene = None if element is None else element.content_frame()
         assert scene is not None
-        scene.wait_for_function(HAS_POINTS, timeout=1000 * START_S)
+        scene.evaluate(UNTIL_DRAWN)
+        page.evaluate(CHANGE, {})
         for what, settings in changes:
-            _settle(page)
+            page.wait_for_timeout(1000 * LOOK_S)
             scene.evaluate("() => { window.__seen.length = 0; }")
             begun = page.evaluate(CHANGE, settings)
-            _settle(page)
-            frames = [frame for frame in scene.evaluate("() => window.__seen") if frame["drawn"] is not None]
+            page.wait_for_timeout(1000 * LOOK_S)
+            scene.wait_for_function(ALL_DRAWN, timeout=1000 * LONGEST_S)
+            frames = scene.evaluate("() => window.__seen")
             if not frames:
                 sys.exit(f"python -m benchmarks.page: {name}: no new colours after {json.dumps(settings)}")
             # The true poses of these pairs are known, so the last colours are those of all points.
@@ -161,17 +168,6 @@ def _server(arguments: Sequence[str]) -> Iterator[str]:
             yield next(word for line in process.stdout for word in line.split() if word.startswith("http://"))
         finally:
             process.terminate()
-
-
-def _settle(page: Any) -> None:
-    """Wait until everything shown belongs to the settings, then until the scene and what is computed ahead rest."""
-    ends = time.monotonic() + LONGEST_S
-    time.sleep(0.1)
-    while not page.evaluate("async () => (await (await fetch('api/state')).json()).settled"):
-        if time.monotonic() > ends:
-            sys.exit(f"python -m benchmarks.page: the page has not settled within {LONGEST_S} s")
-        time.sleep(0.1)
-    time.sleep(REST_S)
 
 
 def _table(rows: Sequence[Seen]) -> str:

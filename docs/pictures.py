@@ -1,8 +1,6 @@
 """Takes the README's pictures from the running page: `python docs/pictures.py`, with what the tests need."""
 
 import io
-import os
-import shutil
 import sys
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from app.session import Session  # noqa: E402
 from app.settings import Column, Picked, ViewSettings  # noqa: E402
 from cgf.datasets.demo import load_demo  # noqa: E402
 from tests.app.serving import LONG_S, serve  # noqa: E402
-from tests.browser.driving import FLAGS, UNTIL_DRAWN  # noqa: E402
+from tests.browser.chromium import FLAGS, UNTIL_DRAWN, find_chromium  # noqa: E402
 
 SIZE = {"width": 1400, "height": 860}
 BAD_MATCH = 2305
@@ -36,11 +34,10 @@ PICTURES: list[tuple[str, str, dict[str, object]]] = [
 
 def main() -> None:
     """Take all pictures, or those whose names are given."""
-    chromium = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
     pair, usual = load_demo(), ViewSettings()
     session = Session([PairSource("demo", lambda: pair, view=("--demo",))], usual)
     with serve(session) as served, sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=find_chromium(), args=FLAGS)
         # Twice as large, since the page does not smooth edges where the processor draws.
         page = browser.new_page(viewport=SIZE, color_scheme="dark", device_scale_factor=2)  # type: ignore[arg-type]
         page.set_default_timeout(LONG_S * 1000)

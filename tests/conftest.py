@@ -1,7 +1,7 @@
 """What all tests share: where data and programs are, and how hypothesis searches."""
 
 import os
-import shutil
+import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,12 +9,18 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.browser.chromium import find_chromium
+
 ROOT = Path(__file__).resolve().parent.parent
 
 # The last jaxtyping for Python 3.10 overlooks `@no_type_check` and wraps kernels so that Numba cannot compile them.
 # There the annotations go unchecked; everything else is tested.
 if sys.version_info < (3, 11):
     sys.meta_path[:] = [finder for finder in sys.meta_path if type(finder).__name__ != "_JaxtypingFinder"]
+
+# Shells start programs in the background with Ctrl-C ignored, and those pass it on to the programs that they start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Kernels compile in the first example, which then takes seconds: no deadline, and slowness is no failure. The examples
 # of a continuous integration run are the same every time.
@@ -51,9 +57,8 @@ def shared() -> Path:
 
 @pytest.fixture(scope="session")
 def chromium() -> str:
-    """Path of the Chromium that browser tests drive: CHROMIUM, or the first one on the PATH."""
-    names = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome")
-    path = os.environ.get("CHROMIUM") or next(filter(None, map(shutil.which, names)), None)
+    """Path of the Chromium that browser tests drive."""
+    path = find_chromium()
     if path is None:
         pytest.fail("browser tests need Chromium; install it, or set CHROMIUM to its path, or pass -m 'not browser'")
     return path

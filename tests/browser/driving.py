@@ -11,11 +11,6 @@ from playwright.sync_api import Browser, ConsoleMessage, Frame, Page, expect
 from tests.app.serving import LONG_S, Served
 
 USUAL_SIZE = (1440, 900)
-FLAGS = [
-    "--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--no-first-run", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-]  # fmt: skip
 
 
 @dataclass
@@ -89,17 +84,6 @@ _UNTIL_CHANGED = f"""(before) => new Promise((resolve, reject) => {{ {_READ}
   }};
   look();
 }})"""
-UNTIL_DRAWN = """() => new Promise((resolve, reject) => {
-  const end = performance.now() + 60000;
-  const look = () => {
-    const viewer = window.__viserMutable;
-    const points = window.__viserTestpoints?.rendererInfo.render.points ?? 0;
-    if (viewer?.nodeRefFromName["/source"] && viewer?.nodeRefFromName["/target"] && points > 0) resolve(points);
-    else if (performance.now() > end) reject(new Error("no points were drawn"));
-    else requestAnimationFrame(look);
-  };
-  look();
-})"""
 
 
 def hash_of(counts: Counter[tuple[int, int, int]]) -> int:
