@@ -106,7 +106,17 @@ class HistogramGrid:
 
         They are rounded to bfloat16, and ordered as `histogram_order` says; see `histogram_room`. Gives the numbers of
         neighbours.
+
+        Raises:
+            ValueError: There are no normals, or `tiles` are too few.
         """
+        if self.normals is None:
+            raise ValueError("points must have normals, got none; give them to histogram_grid")
+        if len(tiles) * EDGE < len(centers) * len(insets):
+            raise ValueError(
+                f"tiles must hold {len(centers) * len(insets)} histograms, got {len(tiles)} blocks of {EDGE}; "
+                "get them from histogram_room"
+            )
         counts = np.empty(len(centers), np.int64)
         self._fill(centers, frames, soft, insets, _NO_ROWS, tiles.reshape(-1), counts)
         return counts

@@ -137,6 +137,17 @@ def test_tiles_hold_the_same_histograms_rounded():
     assert not found[:, :, len(order) :].any()
 
 
+def test_tiles_are_filled_only_where_they_hold_all_and_there_are_normals():
+    rng = np.random.default_rng(8)
+    points, frames = rng.uniform(-1, 1, size=(40, 3)), np.stack([random_frame(rng) for _ in range(40)])
+    oriented = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=points)
+    with pytest.raises(ValueError, match="must hold 80 histograms, got 2 blocks of 32"):
+        oriented.fill_tiles(points, frames, soft=True, insets=(0, 3), tiles=histogram_room(40))
+    plain = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST)
+    with pytest.raises(ValueError, match="must have normals, got none"):
+        plain.fill_tiles(points, frames, soft=True, insets=(0,), tiles=histogram_room(40))
+
+
 def test_normals_have_a_direction_only():
     rng = np.random.default_rng(9)
     points, normals = rng.uniform(-1, 1, size=(500, 3)), rng.normal(size=(500, 3))
