@@ -13,17 +13,17 @@ from app.explorer import Findings, check_rows, stepped
 from app.figures import STARTING, first_snapshot, snapshot_of
 from app.jobs import Job, Worker
 from app.listeners import Listener, Listeners
+from app.look_ahead import LookAhead
 from app.painter import Painter
 from app.pair_source import PairSource
-from app.picking import Camera, Floats, changes_at, changes_in
 from app.picture import Picture
-from app.plots import right_within, run_sweep
+from app.plots import right_within
 from app.point import PointDetails, point_details
 from app.settings import ViewSettings
 from app.shown import MAX_SHOWN
 from app.snapshot import Snapshot, Status
 from app.wording import in_words_of_the_page, text_of
-from app.workbench import WAIT_S, Workbench
+from app.workbench import Workbench
 from cgf import pipeline
 from cgf.checks import InputError
 from cgf.types import Transform
@@ -72,10 +72,10 @@ class Session:
         # Estimating a pose holds up nothing: the next change is computed meanwhile.
         self._worker = Worker(on_progress=self._on_progress, on_idle=self._listeners.notify, on_error=self._on_error)
         self._estimator = Worker(on_progress=self._on_progress, on_idle=self._listeners.notify, on_error=self._on_error)
-        self._ahead = Worker(on_progress=lambda *_: None, on_idle=lambda: None, on_error=lambda _: None)
         self._patience_s = patience_s
         self.workbench = Workbench(self, self._analyst)
         self.diagnosing = Diagnosing(self, self._analyst, self.workbench, patience_s=4 * patience_s)
+        self.ahead = LookAhead(self, self._analyst, patience_s=4 * patience_s)
         self._painter = Painter(self.workbench, self.diagnosing)
 
     def start(self) -> None:
@@ -86,7 +86,7 @@ class Session:
         """Stop working; does not wait."""
         self._worker.close()
         self._estimator.close()
-        self._ahead.close()
+        self.ahead.close()
         self.workbench.tasks.close()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
@@ -100,10 +100,6 @@ class Session:
     def wait_for_main_work(self, timeout_s: float | None = None) -> bool:
         """The same, but for what panels asked for beside it."""
         return self._worker.wait_until_idle(timeout_s) and self._estimator.wait_until_idle(timeout_s)
-
-    def wait_for_look_ahead(self, timeout_s: float | None = None) -> bool:
-        """The same for what nobody has asked for yet."""
-        return self._ahead.wait_until_idle(timeout_s)
 
     @property
     def settings(self) -> ViewSettings:
@@ -157,7 +153,7 @@ class Session:
             if needs_work:
                 self._status = STARTING
                 self._submit()
-            self._touch()
+            self._revision += 1
         if "columns" in changes or needs_work:
             self.workbench.compare()
         self._listeners.notify()
@@ -170,35 +166,11 @@ class Session:
             InputError: Nothing is picked, or there are no matches yet.
         """
         with self._lock:
-            analysis, scores, findings = self._analysis, self._scores(), self.findings()
-            if analysis is None or scores is None:
-                raise InputError("There are no matches yet; wait until they are computed.")
+            (analysis, scores), findings = self._judged(), self.findings()
             if findings.picked is None:
                 raise InputError("Nothing is picked; click a point in the scene.")
             near = right_within(analysis, self._settings)
             return point_details(self._revision, analysis, scores, findings, near=near)
-
-    def pick_at(self, origin: Floats, direction: Floats, *, pixel: float) -> None:
-        """Pick the point under a pointer; beside all points, pick nothing any more.
-
-        Args:
-            origin: Of the ray through the pointer, in the frame of the picture.
-            direction: Of the ray.
-            pixel: Size of a pixel at distance 1.
-        """
-        changes = changes_at(self.picture(), origin, direction, pixel=pixel)
-        if changes:
-            self.change(changes)
-
-    def select_in(self, camera: Camera, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Pick the point in the middle of a box on the screen, and draw lines from the points in the box only.
-
-        Args:
-            camera: That sees the box.
-            low: Its left upper corner, as shares of the window.
-            high: Its right lower corner.
-        """
-        self.change(changes_in(self.picture(), camera, low, high))
 
     def step(self, by: int) -> Snapshot:
         """Pick and isolate the match `by` places from the picked one, in the order chosen.
@@ -207,10 +179,7 @@ class Session:
             InputError: There is no match to go to.
         """
         with self._lock:
-            analysis, scores = self._analysis, self._scores()
-            if analysis is None or scores is None:
-                raise InputError("There are no matches yet; wait until they are computed.")
-            picked = stepped(analysis, scores, self._settings, by=by)
+            picked = stepped(*self._judged(), self._settings, by=by)
             if picked is None:
                 raise InputError("No match passes the filters; relax them.")
         return self.change({"picked": picked, "isolate": True})
@@ -277,7 +246,7 @@ class Session:
         """Tell why a task has failed; what is shown stays right."""
         with self._lock:
             self._error = text_of(error)
-            self._touch()
+            self._revision += 1
         self._listeners.notify()
 
     def picture_with(self, **changes: Any) -> Picture:
@@ -295,7 +264,7 @@ class Session:
     def _submit(self) -> None:
         settings, started = self._settings, time.perf_counter()
         self._estimator.cancel()
-        self._ahead.cancel()
+        self.ahead.cancel()
         self.diagnosing.stop()
 
         def work(job: Job) -> None:
@@ -332,20 +301,10 @@ class Session:
         """Everything shown belongs to `settings` from now on; called with the lock held."""
         self._work_done = settings.work_key
         self._status = Status("ready", "Ready", 1.0, elapsed_s)
-        self._touch()
+        self._revision += 1
         self._diagnose()
         if self._patience_s and self._analysis is not None:
-            analysis = self._analysis
-            self._ahead.submit(lambda job: self._look_ahead(analysis, settings, job))
-
-    def _look_ahead(self, analysis: Analysis, settings: ViewSettings, job: Job) -> None:
-        """Load kernels and match in all dimensions, so that the next one chosen is only drawn."""
-        job.pause(4 * self._patience_s)
-        while not self.wait_until_idle(WAIT_S):
-            job.check()
-        self._analyst.load_kernels(analysis)
-        while run_sweep("dim", analysis, settings, self._analyst, job):
-            pass
+            self.ahead.look(self._analysis, settings)
 
     def _diagnose(self) -> None:
         """Have what is shown diagnosed, if it belongs to the settings; called with the lock held."""
@@ -394,19 +353,22 @@ class Session:
             self._picture = self._painter.paint_preview(preview, self._analysis, self._settings)
         elif self._analysis is not None:
             self._picture = self._painter.paint(self._analysis, self._settings)
-        self._touch()
+        self._revision += 1
 
     def _scores(self) -> Scores | None:
         """Scores of the last good result; called with the lock held."""
         return self._painter.scores(self._analysis, self._settings)
 
+    def _judged(self) -> tuple[Analysis, Scores]:
+        analysis, scores = self._analysis, self._scores()
+        if analysis is None or scores is None:
+            raise InputError("There are no matches yet; wait until they are computed.")
+        return analysis, scores
+
     def findings(self) -> Findings:
         """What is known of stages and of the picked point."""
         with self._lock:
             return self._painter.findings(self._analysis, self._settings)
-
-    def _touch(self) -> None:
-        self._revision += 1
 
     def _on_progress(self, share: float, text: str) -> None:
         with self._lock:

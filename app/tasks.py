@@ -1,7 +1,6 @@
 """Work beside the main one, asked for by a panel: one worker a kind, each told of and stopped by itself."""
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -9,9 +8,6 @@ from typing import Literal
 from app.jobs import Job, Work, Worker
 
 TaskKind = Literal["diagnose", "register", "dim", "radius", "compare"]
-
-PROGRESS_INTERVAL_S = 0.25
-"""Between two notices of one task's progress."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +39,6 @@ class Tasks:
         self._lock = threading.Lock()
         self._workers: dict[TaskKind, Worker] = {}
         self._running: dict[TaskKind, Task] = {}
-        self._told = 0.0
         self._closed = False
 
     def submit(self, kind: TaskKind, text: str, work: Work) -> None:
@@ -101,15 +96,9 @@ class Tasks:
             worker.close()
 
     def _progress(self, kind: TaskKind, share: float, text: str) -> None:
-        now = time.monotonic()
         with self._lock:
-            before = self._running.get(kind)
-            news = before is None or text != before.text or now - self._told >= PROGRESS_INTERVAL_S
             self._running[kind] = Task(kind, text, share)
-            if news:
-                self._told = now
-        if news:
-            self._on_progress()
+        self._on_progress()
 
     def _idle(self, kind: TaskKind) -> None:
         with self._lock:

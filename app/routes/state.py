@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from dataclasses import asdict
 
 from fastapi import APIRouter
@@ -47,12 +47,13 @@ def router(session: Session) -> APIRouter:
     @router.get("/api/events", response_class=StreamingResponse)
     async def events() -> StreamingResponse:
         """Server-sent events: `state` with a whole state, or `status` where nothing but its status changed."""
-        return StreamingResponse(_events(session), media_type="text/event-stream", headers=NO_STORE)
+        return StreamingResponse(events_of(session), media_type="text/event-stream", headers=NO_STORE)
 
     return router
 
 
-async def _events(session: Session) -> AsyncIterator[str]:
+async def events_of(session: Session) -> AsyncGenerator[str, None]:
+    """The events of `session` as they are sent: a new state at once, what only tells of progress now and then."""
     loop = asyncio.get_running_loop()
     changed = asyncio.Event()
 

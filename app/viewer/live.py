@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from starlette.websockets import WebSocket
 
+from app.picking import Camera, Floats, changes_at, changes_in
 from app.session import Session
 from app.viewer.server import ViserHost, client_page
 
@@ -59,7 +60,15 @@ class LiveScene:
 
         self._host = ViserHost()
         self._view = SceneView(self._host.server, self._session.picture)
-        listen_to_pointer(self._host.server, on_click=self._session.pick_at, on_box=self._session.select_in)
+        listen_to_pointer(self._host.server, on_click=self._pick_at, on_box=self._select_in)
         self._ready.set()
         self._session.listen(self._view.update)
         self._view.update()
+
+    def _pick_at(self, origin: Floats, direction: Floats, *, pixel: float) -> None:
+        changes = changes_at(self._session.picture(), origin, direction, pixel=pixel)
+        if changes:
+            self._session.change(changes)
+
+    def _select_in(self, camera: Camera, low: tuple[float, float], high: tuple[float, float]) -> None:
+        self._session.change(changes_in(self._session.picture(), camera, low, high))

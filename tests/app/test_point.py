@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from app.colors import DISTANCE_TABLE, NO_MATCH, STAGE_COLORS
+from app.picking import changes_at
 from app.session import Session
 from app.settings import Picked, Selected, ViewSettings
 from cgf.checks import InputError
@@ -227,11 +228,11 @@ def test_a_click_picks_the_point_under_it_and_one_beside_all_points_none(session
     picture = picture_of(session)
     place = picture.target.points[300] + picture.target.position
     eye = place + 20 * picture.view.direction
-    session.pick_at(eye, place - eye, pixel=1e-4)
+    session.change(changes_at(picture, eye, place - eye, pixel=1e-4))
     picked = session.settings.picked
     assert picked is not None
     assert picked.side == "target"
-    session.pick_at(eye, eye - place, pixel=1e-4)
+    session.change(changes_at(picture, eye, eye - place, pixel=1e-4))
     assert session.settings.picked is None
 
 

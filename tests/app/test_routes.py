@@ -1,18 +1,22 @@
 """The API without a server: what is typed, what is refused, what is served."""
 
+import asyncio
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fastapi import FastAPI, WebSocket
 
+from app.listeners import Listeners
 from app.loading import Loader, Recent
 from app.match_file import matches_file
-from app.routes import create_app
+from app.routes import create_app, state
 from app.session import Session
 from app.settings import ViewSettings
+from app.snapshot import Snapshot, Status
 from app.static_files import static_folder
 from tests.app.asgi import Answer, request
 from tests.app.scenes import hills, source_of
@@ -246,3 +250,48 @@ def test_results_report_and_pose_are_downloads(app: FastAPI) -> None:
         assert answer.headers["content-type"] == kind
         assert answer.headers["content-disposition"].startswith("attachment")
     assert request(app, "GET", "/api/estimate/place").status == 422
+
+
+class FakeSession:
+    """Has nothing but a status, and notes when that is looked at."""
+
+    def __init__(self, snapshot: Snapshot) -> None:
+        self.told, self.looked, self._listeners = snapshot, asyncio.Event(), Listeners()
+        self.listen = self._listeners.add
+
+    def snapshot(self) -> Snapshot:
+        self.looked.set()
+        return self.told
+
+    def change(self, **changes: Any) -> None:
+        self.told = replace(self.told, **changes)
+        self._listeners.notify()
+
+
+def test_only_the_latest_of_several_statuses_is_told_and_a_new_state_at_once(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(state, "STATUS_INTERVAL_S", 0.1)
+    fake = FakeSession(session.snapshot())
+
+    async def told() -> list[str]:
+        events = state.events_of(fake)  # type: ignore[arg-type]
+        first = await anext(events)
+        following = asyncio.ensure_future(anext(events))
+        for text in ("half", "nearly all"):
+            fake.looked.clear()
+            fake.change(status=Status("working", text, 0.5))
+            await asyncio.wait_for(fake.looked.wait(), LONG_S)
+        second = await following
+        monkeypatch.setattr(state, "STATUS_INTERVAL_S", 2 * LONG_S)
+        fake.change(revision=fake.told.revision + 1)
+        third = await asyncio.wait_for(anext(events), LONG_S)
+        await events.aclose()
+        return [first, second, third]
+
+    first, second, third = asyncio.run(told())
+    assert first.startswith("event: state\n")
+    assert second.startswith("event: status\n")
+    assert json.loads(second.split("data: ")[1])["text"] == "nearly all"
+    assert third.startswith("event: state\n")
+    assert json.loads(third.split("data: ")[1])["revision"] == fake.told.revision

@@ -5,10 +5,8 @@ import io
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from app.match_file import matches_file
@@ -378,41 +376,3 @@ def test_the_legend_is_painted_by_the_function_that_painted_the_points(session: 
     assert painted <= {*legend.ramp, *(swatch.color for swatch in legend.swatches)}
     assert legend.ramp[0] != legend.ramp[-1] == "#000000"
     assert legend.scale == pytest.approx(0.25)
-
-
-def test_a_second_run_of_the_viewer_computes_nothing_again(
-    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    disk = pipeline.DiskCache(tmp_path_factory.mktemp("cache"))
-    snapshots = []
-    described: list[int] = []
-    describe = pipeline.describe
-
-    def noting(*arguments: Any, indices: npt.NDArray[np.int64], **named: Any) -> object:
-        described.append(len(indices))
-        return describe(*arguments, indices=indices, **named)
-
-    monkeypatch.setattr(pipeline, "describe", noting)
-    for _ in range(2):
-        described.clear()
-        session = Session([source_of(hills())], SETTINGS, disk=disk)
-        snapshots.append(run(session))
-        assert snapshots[-1].settled, snapshots[-1].messages
-        session.close()
-        monkeypatch.setattr("cgf.pipeline.cache.describe", None)
-        monkeypatch.setattr("cgf.pipeline.cache.match_features", None)
-    assert snapshots[0].numbers == snapshots[1].numbers
-    assert len(list(disk.folder.iterdir())) == 4
-    assert described == []
-    monkeypatch.undo()
-    monkeypatch.setattr(pipeline, "describe", noting)
-    session = Session([source_of(hills())], SETTINGS, disk=disk, patience_s=1e-3)
-    run(session)
-    # With a browser that is waited for, kernels are loaded and other dimensions matched before they are asked for.
-    assert session.wait_for_look_ahead(LONG_S)
-    dimensions = session.workbench.plots().dims.points
-    session.close()
-    assert len(described) == 1
-    assert described[0] < 10
-    assert len(dimensions) > 1
-    assert all(point.precision is not None for point in dimensions)
