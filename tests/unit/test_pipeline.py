@@ -15,17 +15,9 @@ from cgf.geometry import transforms
 from cgf.io import write_cloud, write_transform
 from cgf.pipeline import PairSettings, ResolvedSettings, choose_model, prepare, resolve, run_pair
 from cgf.types import Cancelled, Correspondences, Features, PointCloud, RegistrationResult
+from tests.surfaces import surface
 
 MOTION = transforms.rigid(transforms.rotation_about([1, 2, -1], 1.0), [0.5, -1.0, 2.0])
-
-
-def surface(size: float = 4.0, count: int = 1500, seed: int = 0) -> PointCloud:
-    """A hilly sheet whose diagonal is `size`, without normals."""
-    x, y = np.random.default_rng(seed).uniform(-1, 1, size=(2, count))
-    z = 0.2 * np.sin(3 * x) + 0.3 * np.cos(2 * y) * x
-    points = np.column_stack([x, y, z])
-    points *= size / np.linalg.norm(np.ptp(points, axis=0))
-    return PointCloud(points, name="sheet", viewpoint=np.array([0.0, 0.0, 10 * size]))
 
 
 @dataclass(frozen=True)
@@ -59,60 +51,6 @@ class Coordinates:
 def learned(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(descriptors, "dimensions", lambda *_, **__: (8, 16, 32, 64))
     monkeypatch.setattr(descriptors, "make_descriptor", lambda _, settings: Coordinates(settings))
-
-
-@pytest.mark.parametrize(
-    ("size", "model", "words"),
-    [
-        (4.0, "indoor", "spans 4 m, as rooms do"),
-        (1.7, "object", "span 1.7 units, not the 2.75 to 30 m of a room"),
-        (2.7, "object", "span 2.7 units"),
-        (2.8, "indoor", "spans 2.8 m"),
-        (100.0, "object", "span 100 units"),
-    ],
-)
-def test_the_model_follows_the_extent_and_says_why(size: float, model: str, words: str) -> None:
-    choice = choose_model(surface(size), surface(size))
-    assert choice.name == model
-    assert words in choice.reason
-    assert choice.warning is None
-
-
-def test_the_larger_cloud_decides() -> None:
-    assert choose_model(surface(1.0), surface(3.0)).name == "indoor"
-
-
-@pytest.mark.parametrize("model", ["object", "indoor"])
-def test_a_requested_model_is_taken(model: str) -> None:
-    choice = choose_model(surface(4.0), surface(4.0), model)
-    assert choice.name == model
-    assert "as requested" in choice.reason
-    assert choice.warning is None
-
-
-def test_an_unknown_model_is_refused() -> None:
-    with pytest.raises(InputError, match="--model must be auto, object or indoor, got outdoor"):
-        choose_model(surface(), surface(), "outdoor")
-
-
-@pytest.mark.parametrize("requested", ["auto", "indoor"])
-def test_millimetres_are_warned_of(requested: str) -> None:
-    warning = choose_model(surface(4000.0), surface(3000.0), requested).warning
-    assert warning == "The clouds span 4,000 units; if this is a room in millimetres, say so with --unit mm."
-
-
-def test_no_millimetres_are_suspected_where_scale_is_relative_by_request() -> None:
-    assert choose_model(surface(4000.0), surface(4000.0), "object").warning is None
-
-
-def test_indoor_weights_on_a_small_object_are_warned_of() -> None:
-    warning = choose_model(surface(0.2), surface(0.2), "indoor").warning
-    assert warning == "The indoor model expects rooms, but the clouds span 0.2 m; choose --unit or --model."
-
-
-def test_units_that_differ_are_warned_of() -> None:
-    warning = choose_model(surface(1.0), surface(100.0)).warning
-    assert warning == "One cloud is 100 times as large as the other; do their units agree?"
 
 
 def settings_for(size: float = 4.0, **chosen: object) -> ResolvedSettings:
