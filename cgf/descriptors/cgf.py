@@ -8,7 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from cgf.descriptors.device import embed_on_device, requested_device
 from cgf.descriptors.network import Network, load_network, unit_rows
-from cgf.descriptors.pooling import pool_features
+from cgf.descriptors.pooling import add_context, pool_features
 from cgf.descriptors.settings import DescriptorSettings, histogram_size
 from cgf.descriptors.spherical_histogram import histogram_grid
 from cgf.descriptors.tile_layout import histogram_room
@@ -50,7 +50,8 @@ class HistogramDescriptor:
     ) -> Features:
         """Describe rows `indices` of `cloud`; points without a frame or a neighbour are left out.
 
-        The learned features are averaged over those of `indices` that lie within the innermost shell of each.
+        The learned features are averaged over those of `indices` that lie within the innermost shell of each, or joined
+        with their means within the radii of the network's card.
 
         Args:
             cloud: Prepared at about the density the network was trained on, with normals.
@@ -78,7 +79,7 @@ class HistogramDescriptor:
             min_radius=settings.min_radius,
             normals=cloud.normals if card.oriented else None,
         )
-        vectors = np.empty((len(rows), card.dims[-1]), np.float32)
+        vectors = np.empty((len(rows), self.network.width), np.float32)
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         filled = np.ones(len(rows), dtype=np.bool_)
         kept = threading.local()
@@ -126,7 +127,7 @@ class HistogramDescriptor:
         cancelled: IsCancelled | None,
     ) -> Features:
         settings, done = self.settings, 0
-        vectors = np.empty((len(rows), self.network.card.dims[-1]), np.float32)
+        vectors = np.empty((len(rows), self.network.width), np.float32)
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         counts = np.empty(len(rows), np.int64)
         for part, embedded, judged, found in embed_on_device(
@@ -157,8 +158,12 @@ class HistogramDescriptor:
     ) -> Features:
         """The features asked for, of what the network gave for `rows`."""
         rows, vectors = rows[kept], vectors[kept]
-        if self.network.card.pooled:
-            vectors = pool_features(cloud.points[rows], vectors, radius=self.settings.min_radius)
+        points, min_radius = cloud.points[rows], self.settings.min_radius
+        if self.network.card.context:
+            radii = tuple(share * min_radius for share in self.network.card.context)
+            vectors = add_context(points, vectors, radii=radii)
+        elif self.network.card.pooled:
+            vectors = pool_features(points, vectors, radius=min_radius)
         prefix = vectors[:, : self.settings.dim]
         prefix = unit_rows(prefix) if self.network.card.nested else np.ascontiguousarray(prefix)
         return Features(rows, prefix, self._name, None if quality is None else quality[kept])

@@ -74,7 +74,7 @@ def embed_on_device(
         cancelled: Asked between parts.
 
     Yields:
-        Rows of `centers`, their features (all dimensions), the quality of each, and their numbers of neighbours.
+        Rows of `centers`, what `Network.embed` gives for them, the quality of each, and their numbers of neighbours.
     """
     import torch
 
@@ -115,7 +115,7 @@ def embed_on_device(
             ]
             histograms, counts = (torch.cat(column) for column in zip(*parts, strict=True))
             vectors, logits = forward(card.kind, card.histogram, histograms, weights)
-            if card.nested:
+            if card.nested and not card.context:
                 vectors = torch.nn.functional.normalize(vectors, dim=1)
             quality = None if logits is None else logits.sigmoid().cpu().numpy()
             yield rows.cpu().numpy(), vectors.cpu().numpy(), quality, counts.cpu().numpy()
@@ -186,13 +186,18 @@ def forward(
     weights: "dict[str, Tensor]",
     *,
     dropout: float = 0.0,
+    around: "Tensor | None" = None,
 ) -> "tuple[Tensor, Tensor | None]":
     """Map (K, S, B) or (K, B) histograms to (K, D), not normalised, and (K,) logits of quality.
+
+    Where features are joined with those around, to the (K, (1 + C) D) parts of each; or, given the (K, C, S D) means
+    `around`, to their sums.
 
     Of what the azimuth network knows of all sectors together, a share of `dropout` is lost at random.
 
     Autograd and autocast work through it; the quality's gradient stops at the layer that it shares with the features.
     """
+    import torch
     from torch.nn.functional import linear, normalize, relu
 
     count, values = len(histograms), histograms.reshape(-1, histograms.shape[-1])
@@ -207,7 +212,11 @@ def forward(
         hidden = _paper_hidden(values, gain, weights)
     vectors = linear(hidden, weights["out.weight"], weights["out.bias"])
     if "join.weight" in weights:
-        vectors = linear(normalize(vectors, dim=1).view(count, -1), weights["join.weight"])
+        vectors, join = normalize(vectors, dim=1).view(count, -1), weights["join.weight"]
+        if around is not None:
+            vectors = torch.cat([vectors, around.flatten(1)], dim=1)
+            join = torch.cat(join.chunk(1 + around.shape[1]), dim=1)
+        vectors = linear(vectors, join)
     if "quality.0.bias" not in weights:
         return vectors, None
     judged = relu(linear(hidden.detach().view(count, -1), weights["quality.0.weight"], weights["quality.0.bias"]))

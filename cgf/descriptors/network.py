@@ -64,6 +64,8 @@ class NetworkCard:
     """Whether features are averaged over the described points within `min_radius`."""
     insets: tuple[int, ...] = (0,)
     """The supports whose features are joined: by how many shells each is smaller than `support_radius`."""
+    context: tuple[float, ...] = ()
+    """Radii, in `min_radius`, within which means of the features around a point are joined with its own."""
 
     @property
     def soft(self) -> bool:
@@ -101,7 +103,7 @@ class NetworkCard:
             learned = dict.fromkeys(("nested", "pooled"), values["kind"] == "azimuth")
             has_roots = values.pop("root", values["kind"] == "azimuth")
             values = learned | {"histogram": "roots" if has_roots else "counts"} | values
-            for name in ("dims", "voxel_sizes", "insets"):
+            for name in ("dims", "voxel_sizes", "insets", "context"):
                 if name in values:
                     values[name] = tuple(values[name])
             return cls(**values)
@@ -129,7 +131,8 @@ class Network:
     def embed(self, histograms: Float32[np.ndarray, "K *S B"]) -> Float32[np.ndarray, "K D"]:
         """Map histograms of the card's kind to vectors of the largest of the card's dimensions.
 
-        Nested ones are unit length, and so is every prefix once it is divided by its length.
+        Nested ones are unit length, and so is every prefix once it is divided by its length. Where the card has a
+        context, they are not: they are the parts that `cgf.descriptors.pooling.add_context` takes.
 
         Args:
             histograms: Of the card's supports, in their order; without that axis where there is one.
@@ -170,11 +173,18 @@ class Network:
         if self.card.nested:
             vectors = unit_rows(vectors)
         if "join.weight" in weights:
-            vectors = unit_rows(vectors.reshape(count, -1) @ weights["join.weight"].T)
+            vectors = vectors.reshape(count, -1) @ weights["join.weight"].T
+            if not self.card.context:
+                vectors = unit_rows(vectors)
         if not self.judges:
             return vectors, None
         logits = _linear(_linear_relu(hidden.reshape(count, -1), weights, "quality.0"), weights, "quality.1")[:, 0]
         return vectors, 1 / (1 + np.exp(-logits))
+
+    @property
+    def width(self) -> int:
+        """Columns of what `embed` gives."""
+        return (1 + len(self.card.context)) * self.card.dims[-1]
 
     @property
     def judges(self) -> bool:
@@ -231,8 +241,8 @@ def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int,
         shapes = _layers({f"columns.{i}": (3 * a, b) for i, (a, b) in enumerate(pairwise(widths))})
         shapes |= _layers({"hidden": (2 * widths[-1], hidden)})
     supports = len(card.insets)
-    if supports > 1:
-        shapes["join.weight"] = (dim, supports * dim)
+    if supports > 1 or card.context:
+        shapes["join.weight"] = ((1 + len(card.context)) * dim, supports * dim)
     if "quality.0.bias" in weights:
         judged = len(weights["quality.0.bias"])
         shapes |= _layers({"quality.0": (supports * hidden, judged), "quality.1": (judged, 1)})

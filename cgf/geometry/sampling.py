@@ -15,7 +15,7 @@ _WIDE = 64
 
 
 @dataclass(frozen=True, eq=False)
-class _Voxels:
+class Voxels:
     """Points sorted by voxel."""
 
     order: Int64[np.ndarray, "N"]
@@ -70,7 +70,7 @@ def voxel_downsample(cloud: PointCloud, voxel_size: float) -> PointCloud:
     if not len(cloud):
         return cloud
     points, normals, colors = cloud.points, cloud.normals, cloud.colors
-    voxels = _sort_into_voxels(points, voxel_size)
+    voxels = sort_into_voxels(points, voxel_size)
     centroids = points[voxels.order[voxels.starts]]
     several = voxels.counts > 1
     corners = np.floor(centroids / voxel_size) * voxel_size
@@ -93,7 +93,7 @@ def voxel_rows(points: Float64[np.ndarray, "N 3"], voxel_size: float) -> Int64[n
     check_positive(voxel_size, "voxel_size")
     if not len(points):
         return np.zeros(0, dtype=np.int64)
-    voxels = _sort_into_voxels(points, voxel_size)
+    voxels = sort_into_voxels(points, voxel_size)
     return np.sort(voxels.order[voxels.starts])
 
 
@@ -109,7 +109,12 @@ def bounds(points: Float64[np.ndarray, "N 3"]) -> tuple[Float64[np.ndarray, "3"]
     return lowest.min(axis=0), highest.max(axis=0)
 
 
-def _sort_into_voxels(points: Float64[np.ndarray, "N 3"], voxel_size: float) -> _Voxels:
+def sort_into_voxels(points: Float64[np.ndarray, "N 3"], voxel_size: float) -> Voxels:
+    """Which points lie in which voxel; borders as in `voxel_downsample`.
+
+    Raises:
+        ValueError: `voxel_size` is too small to number the voxels.
+    """
     lowest, highest = bounds(points)
     largest = max(float(highest.max()), -float(lowest.min()))
     if largest / voxel_size > _LARGEST_KEY:
@@ -131,7 +136,7 @@ def _sort_into_voxels(points: Float64[np.ndarray, "N 3"], voxel_size: float) -> 
         keys[:] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     order, keys = _sorted(keys)
     starts = np.concatenate([[0], np.flatnonzero(keys[1:] != keys[:-1]) + 1])
-    return _Voxels(order, starts, np.diff(starts, append=len(points)))
+    return Voxels(order, starts, np.diff(starts, append=len(points)))
 
 
 def _sorted(keys: Int64[np.ndarray, "N"]) -> tuple[Int64[np.ndarray, "N"], Int64[np.ndarray, "N"]]:
@@ -151,7 +156,7 @@ def _mean_normals(
     normals: Float64[np.ndarray, "N 3"],
     points: Float64[np.ndarray, "N 3"],
     centroids: Float64[np.ndarray, "V 3"],
-    voxels: _Voxels,
+    voxels: Voxels,
 ) -> Float64[np.ndarray, "V 3"]:
     """Mean of the normals of each voxel, of unit length."""
     means = voxels.means(normals, scale=1.0)

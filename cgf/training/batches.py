@@ -14,6 +14,7 @@ from cgf.geometry.lrf import estimate_lrf
 from cgf.geometry.transforms import apply
 from cgf.training.augmentation import Augmentation
 from cgf.training.fragments import Fragments, Overlap
+from cgf.training.surroundings import Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,8 @@ class Batch:
 
     Of the whole batch, of which the histograms may be one process's share.
     """
+    around: Float32[np.ndarray, "M C F"] | None = None
+    """Of sources and then of targets, means of features around each; None without a context."""
 
 
 class Batches:
@@ -51,11 +54,13 @@ class Batches:
         joined: bool = False,
         negatives: Literal["overlap", "place"] = "overlap",
         scenes: int | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
         """Of the supports smaller by `insets`, each overlap is described in one, or, if `joined`, in all.
 
         Histograms are `oriented`, with soft azimuth sectors if the frame is random, or as in the paper.
         Negatives of the same scene come from the same overlap or place; each batch is of so many `scenes`, or of any.
+        With `surroundings`, they come with the means of the features around each point.
         `share` says which of the `per_batch` overlaps' histograms are computed; others do without.
         """
         self.fragments = fragments
@@ -63,7 +68,7 @@ class Batches:
         self.lrf_radius, self.frame = lrf_radius, frame
         self.size, self.per_batch, self.augmentation, self.seed = size, per_batch, augmentation, seed
         self.insets, self.oriented, self.joined = insets, oriented, joined
-        self.negatives, self.scenes = negatives, scenes
+        self.negatives, self.scenes, self.surroundings = negatives, scenes, surroundings
         self._scales = nested_scales(insets, support_radius=support_radius, min_radius=min_radius)
         self._own = range(per_batch)[share]
         self._scenes: dict[int, list[Overlap]] = {}
@@ -75,6 +80,7 @@ class Batches:
         """Batch number `step`."""
         share = self.size // self.per_batch
         sources: list[np.ndarray] = []
+        around: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
         targets, moved, partners, overlaps = [], [], [], []
         scenes = list(self._scenes)
         if self.scenes is not None:
@@ -96,13 +102,17 @@ class Batches:
                 sources.append(self._histograms(*bent, rows, factor, shape, rng))
                 bent = bend(target.points, normals[1])
                 targets.append(self._histograms(*bent, partner_rows, factor, shape, rng))
+                if self.surroundings is not None:
+                    around[0].append(self.surroundings.around(overlap.source, rows))
+                    around[1].append(self.surroundings.around(overlap.target, partner_rows))
             place_from_source = overlap.place_from_target @ overlap.target_from_source
             moved.append(apply(place_from_source, source.points[rows]))
             partners.append(apply(overlap.place_from_target, target.points[partner_rows]))
             overlaps.append(overlap)
         ignored = self._ignored(overlaps, np.concatenate(moved), np.concatenate(partners))
         np.fill_diagonal(ignored, False)
-        return Batch(np.concatenate(sources), np.concatenate(targets), ignored)
+        means = None if self.surroundings is None else np.concatenate([*around[0], *around[1]])
+        return Batch(np.concatenate(sources), np.concatenate(targets), ignored, means)
 
     def _ignored(
         self, overlaps: list[Overlap], moved: Float64[np.ndarray, "B 3"], partners: Float64[np.ndarray, "B 3"]

@@ -41,7 +41,7 @@ def train(
     network: NetworkT,
     *,
     draw: Callable[[int], BatchT],
-    loss_of: Callable[[Callable[[Tensor], Tensor], BatchT], Tensor],
+    loss_of: Callable[[Callable[..., Tensor], BatchT], Tensor],
     settings: LoopSettings,
     folder: Path,
     processes: Processes,
@@ -70,9 +70,9 @@ def train(
         _truncate_log(folder / "log.jsonl", first)
     parallel = processes.parallel(network)
 
-    def embed(histograms: Tensor) -> Tensor:
+    def embed(*inputs: Tensor) -> Tensor:
         with torch.autocast(processes.device.type, dtype=torch.bfloat16, enabled=settings.low_precision):
-            features: Tensor = parallel(histograms.to(processes.device))
+            features: Tensor = parallel(*(values.to(processes.device) for values in inputs))
         return features.float()
 
     log_path = folder / "log.jsonl" if processes.is_first else Path(os.devnull)

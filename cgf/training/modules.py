@@ -26,13 +26,13 @@ class FeatureNetwork(nn.Module):
         if judges:
             self.quality = _judge(hidden)
 
-    def forward(self, histograms: Tensor) -> Tensor:
+    def forward(self, histograms: Tensor, around: Tensor | None = None) -> Tensor:
         """Map (K, B) histograms to (K, dim), and where quality is judged to (K, dim + 1): the last is its logit.
 
-        A joined network takes (K, S, B).
+        A joined network takes (K, S, B), and one with a context also the (K, C, S dim) means of features `around`.
         """
         weights: dict[str, Tensor] = dict(self.named_parameters())
-        vectors, logits = forward(self.kind, self.histogram, histograms, weights, dropout=self.dropout)
+        vectors, logits = forward(self.kind, self.histogram, histograms, weights, dropout=self.dropout, around=around)
         return vectors if logits is None else torch.cat([vectors, logits[:, None]], dim=1)
 
 
@@ -52,15 +52,19 @@ class AzimuthNetwork(FeatureNetwork):
         self.dropout = dropout
 
 
-def joined(network: FeatureNetwork, supports: int) -> FeatureNetwork:
+def joined(network: FeatureNetwork, supports: int, context: int = 0) -> FeatureNetwork:
     """Make `network` describe several supports: its features of each, joined by a linear layer, the only one to learn.
 
-    At first that is their mean. What else there was stays as it is, but for the quality, which starts anew.
+    That layer also takes means around a point, within `context` radii. At first it gives the mean of the supports, and
+    with a context that within the first radius. What else there was stays as it is, but for the quality, which starts
+    anew.
     """
     dim, hidden = network.out.out_features, network.out.in_features
     network.requires_grad_(requires_grad=False)
-    network.join = nn.Linear(supports * dim, dim, bias=False)
-    network.join.weight.data = torch.eye(dim).repeat(1, supports) / supports
+    network.join = nn.Linear(supports * dim, (1 + context) * dim, bias=False)
+    weight = torch.zeros(1 + context, dim, supports * dim)
+    weight[min(context, 1)] = torch.eye(dim).repeat(1, supports) / supports
+    network.join.weight.data = weight.flatten(0, 1)
     network.quality = _judge(supports * hidden)
     network.dropout = 0.0
     return network

@@ -21,6 +21,7 @@ from cgf.training.loop import LoopSettings, train
 from cgf.training.loss import contrastive_loss, quality_loss, triplet_loss
 from cgf.training.modules import AzimuthNetwork, FeatureNetwork, PaperNetwork, joined
 from cgf.training.settings import TrainSettings
+from cgf.training.surroundings import Surroundings
 from cgf.training.triplets import TripletBatch, Triplets
 from cgf.types import Progress
 
@@ -51,21 +52,8 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     with started(settings.device) as processes:
         fragments = _fragments(settings, defaults, progress)
         trained = _TRAIN[settings.recipe](settings, defaults, fragments, processes, progress)
-    pca = settings.recipe == "pca"
-    card = NetworkCard(
-        kind="pca" if pca else settings.chosen_network,
-        model=settings.model,
-        dims=settings.dims if settings.contrastive else settings.dims[-1:],
-        frame=settings.chosen_frame,
-        relative=defaults.relative,
-        support_radius=defaults.support_radius,
-        min_radius=defaults.min_radius,
-        lrf_radius=defaults.lrf_radius,
-        voxel_sizes=settings.voxel_sizes or (defaults.voxel_size,),
-        histogram=settings.chosen_histogram,
-        nested=settings.contrastive,
-        pooled=settings.contrastive,
-        insets=settings.insets,
+    card = replace(
+        _card(settings, defaults),
         command=command,
         data=", ".join(path.name for path in ([settings.meshes] if settings.meshes else settings.scenes)),
         seed=settings.seed,
@@ -90,6 +78,26 @@ def run(settings: TrainSettings, *, command: str = "", progress: Progress) -> Ne
     if processes.is_first:
         write_network(settings.output, network)
     return network
+
+
+def _card(settings: TrainSettings, defaults: ModelDefaults) -> NetworkCard:
+    """What the network takes and gives, without how it was made."""
+    return NetworkCard(
+        kind="pca" if settings.recipe == "pca" else settings.chosen_network,
+        model=settings.model,
+        dims=settings.dims if settings.contrastive else settings.dims[-1:],
+        frame=settings.chosen_frame,
+        relative=defaults.relative,
+        support_radius=defaults.support_radius,
+        min_radius=defaults.min_radius,
+        lrf_radius=defaults.lrf_radius,
+        voxel_sizes=settings.voxel_sizes or (defaults.voxel_size,),
+        histogram=settings.chosen_histogram,
+        nested=settings.contrastive,
+        pooled=settings.contrastive,
+        insets=settings.insets,
+        context=settings.context,
+    )
 
 
 def _fragments(settings: TrainSettings, defaults: ModelDefaults, progress: Progress) -> Fragments:
@@ -151,8 +159,9 @@ def _contrastive(
         scenes=settings.scenes_per_batch,
     )
 
-    def loss_of(embed: Callable[[Tensor], Tensor], batch: Batch) -> Tensor:
-        features = embed(torch.from_numpy(np.concatenate([batch.source, batch.target])))
+    def loss_of(embed: Callable[..., Tensor], batch: Batch) -> Tensor:
+        around = [] if batch.around is None else [torch.from_numpy(batch.around)]
+        features = embed(torch.from_numpy(np.concatenate([batch.source, batch.target])), *around)
         source, target = (processes.gather(half) for half in features.chunk(2))
         ignored = torch.from_numpy(batch.ignored).to(features.device)
         loss = contrastive_loss(source, target, ignored, dims=settings.dims, temperature=settings.temperature)
@@ -164,12 +173,23 @@ def _contrastive(
     folder = settings.output.with_suffix("")
     optimise = partial(train, loss_of=loss_of, processes=processes, progress=progress)
     network = optimise(_network(settings), draw=batches().draw, settings=loop, folder=folder)
-    if len(settings.insets) > 1:
+    if len(settings.insets) > 1 or settings.context:
         # Only now: when supports were joined from the start, the network learned the scenes by heart.
         joining = replace(loop, steps=settings.join_steps, learning_rate=_JOIN_RATE * loop.learning_rate)
-        network = joined(network, len(settings.insets))
-        network = optimise(network, draw=batches(joined=True).draw, settings=joining, folder=folder / "join")
+        surroundings = _surroundings(settings, defaults, fragments, network) if settings.context else None
+        network = joined(network, len(settings.insets), len(settings.context))
+        draw = batches(joined=True, surroundings=surroundings).draw
+        network = optimise(network, draw=draw, settings=joining, folder=folder / "join")
     return _Trained(_weights(network), loop.steps)
+
+
+def _surroundings(
+    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, network: FeatureNetwork
+) -> Surroundings:
+    """The clouds described by `network` as it is now."""
+    card = replace(_card(settings, defaults), insets=(0,), context=())
+    radii = tuple(radius * defaults.min_radius for radius in settings.context)
+    return Surroundings(fragments, Network(card, _weights(network)), insets=settings.insets, radii=radii)
 
 
 def _judged_dim(dims: tuple[int, ...]) -> int:
@@ -183,7 +203,7 @@ def _paper(
     share = processes.share_of(settings.batch, "--batch")
     triplets = _triplets(settings, defaults, fragments, share, progress)
 
-    def loss_of(embed: Callable[[Tensor], Tensor], batch: TripletBatch) -> Tensor:
+    def loss_of(embed: Callable[..., Tensor], batch: TripletBatch) -> Tensor:
         features = embed(torch.from_numpy(batch.histograms))
         anchors, positives, negatives = (features[torch.from_numpy(rows).to(features.device)] for rows in batch.rows)
         return triplet_loss(anchors, positives, negatives)

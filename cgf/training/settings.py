@@ -46,8 +46,10 @@ class TrainSettings:
     """Of its innermost shell; None stands for the model's own."""
     insets: tuple[int, ...] = (0,)
     """Supports whose features are joined: by how many shells each is smaller than the largest."""
+    context: tuple[float, ...] = ()
+    """Radii, in innermost shells, within which means of features are joined with a point's own; none averages them."""
     join_steps: int = 1000
-    """Minibatches, after the others, in which joining several supports is learned."""
+    """Minibatches, after the others, in which joining supports and context is learned."""
     batch: int = 512
     """Correspondences (contrastive) or triplets (paper) per minibatch."""
     overlaps_per_batch: int = 8
@@ -121,6 +123,10 @@ class TrainSettings:
             raise ValueError(
                 f"--insets must be 0 but for the azimuth network and contrastive recipe, got {self.insets}"
             )
+        if list(self.context) != sorted(set(self.context)) or not all(radius > 0 for radius in self.context):
+            raise ValueError(f"--context must be positive and ascending, got {self.context}")
+        if self.context and not self.contrastive:
+            raise ValueError(f"--context must come with the contrastive recipe, got the recipe {self.recipe}")
         possible: tuple[HistogramKind, ...] = ("roots", "counts")
         if self.chosen_network == "azimuth":
             possible = ("normals", "roots") if self.contrastive else ("roots",)

@@ -28,7 +28,12 @@ AZIMUTH = NetworkCard(
 )
 PAPER = replace(AZIMUTH, kind="paper", dims=(16,), frame="paper", histogram="counts", nested=False, pooled=False)
 
-CARDS = {"azimuth": AZIMUTH, "paper": PAPER, "joined": replace(AZIMUTH, insets=(0, 3))}
+CARDS = {
+    "azimuth": AZIMUTH,
+    "paper": PAPER,
+    "joined": replace(AZIMUTH, insets=(0, 3)),
+    "context": replace(AZIMUTH, insets=(0, 3), context=(1.0, 4.0)),
+}
 
 
 def torch_network(kind):
@@ -37,29 +42,32 @@ def torch_network(kind):
 
     torch.manual_seed(1)
     module = PaperNetwork(16) if kind == "paper" else AzimuthNetwork(16, width=24)
-    if kind == "joined":
-        module = joined(module, 2)
+    if kind in ("joined", "context"):
+        module = joined(module, 2, len(CARDS[kind].context))
         torch.nn.init.normal_(module.join.weight)
     weights = {name: value.numpy().copy() for name, value in module.state_dict().items()}
     return module, Network(CARDS[kind], weights)
 
 
-@pytest.mark.parametrize("kind", ["azimuth", "paper", "joined"])
+@pytest.mark.parametrize("kind", list(CARDS))
 def test_inference_equals_torch(kind, monkeypatch):
     import torch
 
     monkeypatch.setenv("CGF_PRECISION", "float32")
     module, network = torch_network(kind)
     rows = random_histograms(20, network.card.histogram)
-    if kind == "joined":
+    if len(network.card.insets) > 1:
         rows = rows.reshape(10, 2, -1)
     expected = module(torch.from_numpy(rows)).detach().numpy()
     vectors, quality = network.embed_and_judge(rows)
-    nested = kind != "paper"
-    np.testing.assert_allclose(vectors, unit_rows(expected[:, :16]) if nested else expected, rtol=2e-3, atol=2e-5)
+    nested, width = kind != "paper", network.width
+    assert width == (48 if kind == "context" else 16)
+    # Parts that a context is added to get their length afterwards.
+    wanted = unit_rows(expected[:, :16]) if nested and width == 16 else expected[:, :width]
+    np.testing.assert_allclose(vectors, wanted, rtol=2e-3, atol=2e-5)
     assert (quality is not None) == nested
     if nested:
-        np.testing.assert_allclose(quality, 1 / (1 + np.exp(-expected[:, 16])), atol=1e-5)
+        np.testing.assert_allclose(quality, 1 / (1 + np.exp(-expected[:, width])), atol=1e-5)
 
 
 def test_turning_by_a_sector_changes_nothing():

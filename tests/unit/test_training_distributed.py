@@ -54,10 +54,9 @@ def test_two_processes_go_on_where_one_was_killed_and_lose_what_it_would_have(tm
 
     def command(name):
         options = ["--scenes", *map(str, scenes), "--model", "indoor", "--steps", "6", "--quiet"]
-        sizes = (
-            "--batch 32 --overlaps-per-batch 4 --width 32 --dims 8 16 --checkpoint-every 2 --insets 0 2 --join-steps 3"
-        )
-        return ["train", "-o", str(tmp_path / f"{name}.safetensors"), *options, *sizes.split()]
+        sizes = "--batch 32 --overlaps-per-batch 4 --width 32 --dims 8 16 --checkpoint-every 2"
+        joining = "--insets 0 2 --context 1 4 --join-steps 3"
+        return ["train", "-o", str(tmp_path / f"{name}.safetensors"), *options, *sizes.split(), *joining.split()]
 
     def kill(share, text):
         if text.startswith("step 3 "):

@@ -18,6 +18,11 @@ from cgf.training.settings import TrainSettings
         ({"insets": (0, 16)}, r"--insets must be 0 and ascending numbers up to 15, got \(0, 16\)"),
         ({"insets": (3,)}, r"--insets must be 0 and ascending numbers up to 15, got \(3,\)"),
         ({"insets": (0, 3), "recipe": "paper"}, "--insets must be 0 but for the azimuth network"),
+        ({"context": (2.0, 1.0)}, r"--context must be positive and ascending, got \(2.0, 1.0\)"),
+        (
+            {"context": (1.0,), "recipe": "paper"},
+            "--context must come with the contrastive recipe, got .* paper",
+        ),
         ({"join_steps": 0}, "--join-steps must be 1 or more, got 0"),
         ({"min_radius": 0.3}, "--min-radius must be above 0 and below --support-radius, got 0.3 and 0.2"),
         ({"histogram": "counts"}, "--histogram must be normals or roots for the azimuth network .* got counts"),
