@@ -71,9 +71,6 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--context", type=float, nargs="+", metavar="R", help="join means of features within R innermost shells"
     )
     recipe.add_argument("--join-steps", type=int, metavar="N", help="minibatches in which that is learned, at the end")
-    recipe.add_argument(
-        "--join-on", choices=("changed", "plain"), help="clouds changed as before, or as they are (default: changed)"
-    )
     recipe.add_argument("--batch", type=int, metavar="N", help="correspondences or triplets a minibatch")
     recipe.add_argument("--overlaps-per-batch", type=int, metavar="N", help="pairs of clouds a minibatch draws from")
     recipe.add_argument(

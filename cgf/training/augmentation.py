@@ -40,11 +40,6 @@ class Augmentation:
     keep_at_least: float = 0.6
     """A random share of the neighbours, between this and 1, is kept in each cloud."""
 
-    @classmethod
-    def none(cls) -> "Augmentation":
-        """Clouds as they are."""
-        return cls(radius_jitter=0.0, normal_noise_deg=0.0, keep_at_least=1.0)
-
     def draw_shape(self, rng: np.random.Generator) -> Float64[np.ndarray, "3 3"]:
         """A linear map for both clouds of an overlap, in one common frame."""
         shape = np.eye(3)

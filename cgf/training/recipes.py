@@ -133,35 +133,31 @@ def _contrastive(
     azimuth = settings.chosen_network == "azimuth"
     if settings.normal_radii:
         fragments = with_other_normals(fragments, settings.normal_radii, progress=progress)
-    changes = Augmentation(
-        stretch=settings.stretch,
-        bend=settings.bend,
-        mirror=settings.mirror,
-        holes=settings.holes,
-        cut=settings.cut,
+    batches = partial(
+        Batches,
+        fragments,
+        support_radius=defaults.support_radius,
+        min_radius=defaults.min_radius,
+        lrf_radius=defaults.lrf_radius,
+        # The azimuth network has to do without a repeatable x axis.
+        frame="random" if azimuth else settings.chosen_frame,
+        tau=defaults.tau,
+        size=settings.batch,
+        per_batch=settings.overlaps_per_batch,
+        augmentation=Augmentation(
+            stretch=settings.stretch,
+            bend=settings.bend,
+            mirror=settings.mirror,
+            holes=settings.holes,
+            cut=settings.cut,
+        ),
+        seed=settings.seed,
+        share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
+        insets=settings.insets,
+        oriented=settings.chosen_histogram == "normals",
+        negatives=settings.negatives,
+        scenes=settings.scenes_per_batch,
     )
-
-    def batches(*, plain: bool = False, joined: bool = False, surroundings: Surroundings | None = None) -> Batches:
-        return Batches(
-            replace(fragments, other_normals=[]) if plain else fragments,
-            support_radius=defaults.support_radius,
-            min_radius=defaults.min_radius,
-            lrf_radius=defaults.lrf_radius,
-            # The azimuth network has to do without a repeatable x axis.
-            frame="random" if azimuth else settings.chosen_frame,
-            tau=defaults.tau,
-            size=settings.batch,
-            per_batch=settings.overlaps_per_batch,
-            augmentation=Augmentation.none() if plain else changes,
-            seed=settings.seed,
-            share=processes.share_of(settings.overlaps_per_batch, "--overlaps-per-batch"),
-            insets=settings.insets,
-            oriented=settings.chosen_histogram == "normals",
-            joined=joined,
-            negatives=settings.negatives,
-            scenes=settings.scenes_per_batch,
-            surroundings=surroundings,
-        )
 
     def loss_of(embed: Callable[..., Tensor], batch: Batch) -> Tensor:
         around = [] if batch.around is None else [torch.from_numpy(batch.around)]
@@ -180,9 +176,13 @@ def _contrastive(
     if len(settings.insets) > 1 or settings.context:
         # Only now: when supports were joined from the start, the network learned the scenes by heart.
         joining = replace(loop, steps=settings.join_steps, learning_rate=_JOIN_RATE * loop.learning_rate)
-        surroundings = _surroundings(settings, defaults, fragments, network) if settings.context else None
+        join_batches = partial(batches, joined=True)
+        if settings.context:
+            surroundings = _surroundings(settings, defaults, fragments, network)
+            # What lies around tells scenes apart, which is of no use where one cloud is matched with another.
+            join_batches = partial(join_batches, scenes=1, surroundings=surroundings)
         network = joined(network, len(settings.insets), len(settings.context))
-        draw = batches(plain=settings.join_on == "plain", joined=True, surroundings=surroundings).draw
+        draw = join_batches().draw
         network = optimise(network, draw=draw, settings=joining, folder=folder / "join")
     return _Trained(_weights(network), loop.steps)
 

@@ -50,8 +50,6 @@ class TrainSettings:
     """Radii, in innermost shells, within which means of features are joined with a point's own; none averages them."""
     join_steps: int = 1000
     """Minibatches, after the others, in which joining supports and context is learned."""
-    join_on: Literal["changed", "plain"] = "changed"
-    """What that is learned on: clouds changed as before it, or as they are, as those are whose means are taken."""
     batch: int = 512
     """Correspondences (contrastive) or triplets (paper) per minibatch."""
     overlaps_per_batch: int = 8

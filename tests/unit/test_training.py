@@ -263,7 +263,7 @@ class Killed(BaseException):
     [
         ({"recipe": "contrastive", "dropout": 0.5}, "step 5 of 6"),
         ({"recipe": "paper"}, "step 5 of 6"),
-        ({"insets": (0, 3), "context": (1.0, 3.0), "join_on": "plain", "join_steps": 7}, "step 5 of 7"),
+        ({"insets": (0, 3), "context": (1.0, 3.0), "join_steps": 7}, "step 5 of 7"),
     ],
 )
 def test_a_killed_run_resumes_to_the_bit(meshes, fragments, tmp_path, monkeypatch, changes, last):
