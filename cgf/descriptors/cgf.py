@@ -79,7 +79,7 @@ class HistogramDescriptor:
             min_radius=settings.min_radius,
             normals=cloud.normals if card.oriented else None,
         )
-        vectors = np.empty((len(rows), self.network.width), np.float32)
+        vectors = self._room(len(rows))
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         filled = np.ones(len(rows), dtype=np.bool_)
         kept = threading.local()
@@ -99,10 +99,11 @@ class HistogramDescriptor:
             wanted = (cloud.points[rows[part]], frames[part])
             if takes_tiles:
                 counts = grid.fill_tiles(*wanted, soft=card.soft, insets=card.insets, tiles=kept.room)
-                vectors[part], judged = self.network.embed_tiles(kept.room, len(counts))
+                embedded, judged = self.network.embed_tiles(kept.room, len(counts))
             else:
                 histograms, counts = grid.nested_histograms(*wanted, soft=card.soft, insets=card.insets, room=kept.room)
-                vectors[part], judged = self.network.embed_and_judge(histograms)
+                embedded, judged = self.network.embed_and_judge(histograms)
+            vectors[:, part] = self._parts_of(embedded)
             if quality is not None:
                 quality[part] = judged
             filled[part] = counts > 0
@@ -127,7 +128,7 @@ class HistogramDescriptor:
         cancelled: IsCancelled | None,
     ) -> Features:
         settings, done = self.settings, 0
-        vectors = np.empty((len(rows), self.network.width), np.float32)
+        vectors = self._room(len(rows))
         quality = np.empty(len(rows), np.float32) if self.network.judges else None
         counts = np.empty(len(rows), np.int64)
         for part, embedded, judged, found in embed_on_device(
@@ -140,7 +141,7 @@ class HistogramDescriptor:
             device=device,
             cancelled=cancelled,
         ):
-            vectors[part], counts[part] = embedded, found
+            vectors[:, part], counts[part] = self._parts_of(embedded), found
             if quality is not None:
                 quality[part] = judged
             done += len(part)
@@ -148,22 +149,32 @@ class HistogramDescriptor:
                 progress(done / len(rows), "describing points")
         return self._features(cloud, rows, vectors, quality, counts > 0)
 
+    def _room(self, count: int) -> Float32[np.ndarray, "P {count} D"]:
+        return np.empty((self.network.parts, count, self.network.card.dims[-1]), np.float32)
+
+    def _parts_of(self, embedded: Float32[np.ndarray, "K W"]) -> Float32[np.ndarray, "P K D"]:
+        return embedded.reshape(len(embedded), self.network.parts, -1).swapaxes(0, 1)
+
     def _features(
         self,
         cloud: PointCloud,
         rows: Int64[np.ndarray, "K"],
-        vectors: Float32[np.ndarray, "K D"],
+        parts: Float32[np.ndarray, "P K D"],
         quality: Float32[np.ndarray, "K"] | None,
         kept: Bool[np.ndarray, "K"],
     ) -> Features:
         """The features asked for, of what the network gave for `rows`."""
-        rows, vectors = rows[kept], vectors[kept]
+        if not kept.all():
+            rows, parts = rows[kept], parts[:, kept]
+            quality = None if quality is None else quality[kept]
         points, min_radius = cloud.points[rows], self.settings.min_radius
         if self.network.card.context:
             radii = tuple(share * min_radius for share in self.network.card.context)
-            vectors = add_context(points, vectors, radii=radii)
+            vectors = add_context(points, parts, radii=radii)
         elif self.network.card.pooled:
-            vectors = pool_features(points, vectors, radius=min_radius)
+            vectors = pool_features(points, parts[0], radius=min_radius)
+        else:
+            vectors = parts[0]
         prefix = vectors[:, : self.settings.dim]
         prefix = unit_rows(prefix) if self.network.card.nested else np.ascontiguousarray(prefix)
-        return Features(rows, prefix, self._name, None if quality is None else quality[kept])
+        return Features(rows, prefix, self._name, quality)

@@ -132,7 +132,7 @@ class Network:
         """Map histograms of the card's kind to vectors of the largest of the card's dimensions.
 
         Nested ones are unit length, and so is every prefix once it is divided by its length. Where the card has a
-        context, they are not: they are the parts that `cgf.descriptors.pooling.add_context` takes.
+        context, they are not: they are the parts that `cgf.descriptors.pooling.add_context` takes, side by side.
 
         Args:
             histograms: Of the card's supports, in their order; without that axis where there is one.
@@ -179,12 +179,12 @@ class Network:
         if not self.judges:
             return vectors, None
         logits = _linear(_linear_relu(hidden.reshape(count, -1), weights, "quality.0"), weights, "quality.1")[:, 0]
-        return vectors, 1 / (1 + np.exp(-logits))
+        return vectors, np.exp(-np.logaddexp(0, -logits))
 
     @property
-    def width(self) -> int:
-        """Columns of what `embed` gives."""
-        return (1 + len(self.card.context)) * self.card.dims[-1]
+    def parts(self) -> int:
+        """How many vectors of the largest of the card's dimensions `embed` gives for a point, side by side."""
+        return 1 + len(self.card.context)
 
     @property
     def judges(self) -> bool:

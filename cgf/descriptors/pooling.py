@@ -59,18 +59,25 @@ def cell_means(
 
 
 def add_context(
-    points: Float64[np.ndarray, "K 3"], parts: Float32[np.ndarray, "K P"], *, radii: tuple[float, ...]
+    points: Float64[np.ndarray, "K 3"], parts: Float32[np.ndarray, "P K D"], *, radii: tuple[float, ...]
 ) -> Float32[np.ndarray, "K D"]:
     """Sum of each point's own part and of the means, within each of `radii`, of the parts made for that radius.
 
     Args:
         points: The described points, in cloud units.
-        parts: Of each point, that for itself and those for the radii, side by side and equally long.
+        parts: Of each point, that for itself and those for the radii. The first becomes the sum.
         radii: In cloud units.
     """
-    own, *others = (np.ascontiguousarray(part) for part in np.split(parts, 1 + len(radii), axis=1))
-    for part, radius in zip(others, radii, strict=True):
-        own += pool_features(*cell_means(points, part, radius=radius), radius=radius, at=points)
+    own, *others = parts
+    cells = [(points, own)] * len(radii)
+
+    def fill(part: slice) -> None:
+        for i in range(part.start, part.stop):
+            cells[i] = cell_means(points, others[i], radius=radii[i])
+
+    for_each_block(fill, len(radii), block=1)
+    for (places, means), radius in zip(cells, radii, strict=True):
+        own += pool_features(places, means, radius=radius, at=points)
     return own
 
 

@@ -10,8 +10,8 @@ from app.session import Session
 from app.settings import ViewSettings
 from cgf.datasets.demo import load_demo
 from tests.app.serving import Served, serve
-from tests.browser.chromium import FLAGS
-from tests.browser.driving import UNTIL_DRAWN, USUAL_SIZE, Viewer, open_page
+from tests.browser.chromium import FLAGS, UNTIL_DRAWN
+from tests.browser.driving import USUAL_SIZE, Viewer, open_page
 
 
 @pytest.fixture(scope="session")

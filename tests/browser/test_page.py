@@ -3,7 +3,8 @@
 import pytest
 from playwright.sync_api import Browser, expect
 
-from tests.browser.driving import LAYOUT, UNTIL_DRAWN, USUAL_SIZE, Viewer, rgb
+from tests.browser.chromium import UNTIL_DRAWN
+from tests.browser.driving import LAYOUT, USUAL_SIZE, Viewer, rgb
 
 pytestmark = pytest.mark.browser
 

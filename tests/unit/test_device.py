@@ -6,7 +6,7 @@ import pytest
 from cgf.datasets.demo import load_demo
 from cgf.descriptors import DescriptorSettings, make_descriptor
 from cgf.descriptors.device import embed_on_device, requested_device
-from cgf.descriptors.pooling import pool_features
+from cgf.descriptors.pooling import add_context
 from cgf.geometry.lrf import estimate_lrf
 
 torch = pytest.importorskip("torch")
@@ -29,12 +29,13 @@ def test_features_are_those_of_the_processor(name, device, monkeypatch):
         cloud.points, cloud.normals, rows, radius=SETTINGS.lrf_radius, kind=descriptor.network.card.frame
     )
     rows = rows[defined]
-    found = np.empty((len(rows), descriptor.network.card.dims[-1]), np.float32)
+    network = descriptor.network
+    found = np.empty((len(rows), network.parts * network.card.dims[-1]), np.float32)
     parts = embed_on_device(
         cloud,
         cloud.points[rows],
         frames[defined],
-        descriptor.network,
+        network,
         support_radius=SETTINGS.support_radius,
         min_radius=SETTINGS.min_radius,
         device=device,
@@ -44,7 +45,9 @@ def test_features_are_those_of_the_processor(name, device, monkeypatch):
         assert quality is None or len(quality) == len(part)
         assert (counts > 0).all()
     if name == "cgf":
-        found = pool_features(cloud.points[rows], found, radius=SETTINGS.min_radius)[:, :32]
+        stacked = np.stack(np.split(found, network.parts, axis=1))
+        radii = tuple(share * SETTINGS.min_radius for share in network.card.context)
+        found = add_context(cloud.points[rows], stacked, radii=radii)[:, :32]
         found /= np.linalg.norm(found, axis=1, keepdims=True)
     np.testing.assert_array_equal(expected.indices, rows)
     # Single precision may put a neighbour on the other side of an edge, which moves a feature a little.

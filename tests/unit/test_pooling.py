@@ -38,13 +38,13 @@ def test_context_adds_means_of_its_parts_within_each_radius():
     points = np.column_stack([rng.uniform(0, 3, (3000, 2)), np.zeros(3000)])
     own = rng.normal(size=(3000, 2)).astype(np.float32)
     smooth = np.sin(points[:, :2]).astype(np.float32)  # so that cells stand for their points
-    parts = np.concatenate([own, 2 * smooth, smooth], axis=1)
+    parts = np.stack([own, 2 * smooth, smooth])
     near, far = pool_features(points, 2 * smooth, radius=0.3), pool_features(points, smooth, radius=0.9)
     found = add_context(points, parts, radii=(0.3, 0.9))
     np.testing.assert_allclose(found, own + near + far, atol=0.2)
     assert np.abs(found - own - 3 * smooth).max() > 0.4
-    np.testing.assert_array_equal(add_context(points, own, radii=()), own)
-    assert add_context(points[:0], parts[:0], radii=(0.3, 0.9)).shape == (0, 2)
+    np.testing.assert_array_equal(add_context(points, own[None], radii=()), own)
+    assert add_context(points[:0], parts[:, :0], radii=(0.3, 0.9)).shape == (0, 2)
 
 
 def test_a_point_alone_keeps_its_feature():

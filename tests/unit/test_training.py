@@ -1,6 +1,7 @@
 """Training on a few small clouds: the recipes run, resume to the bit and write what the descriptor reads."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -267,7 +268,10 @@ class Killed(BaseException):
     ],
 )
 def test_a_killed_run_resumes_to_the_bit(meshes, fragments, tmp_path, monkeypatch, changes, last):
-    monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: fragments)
+    # With a context, all points of every cloud are described: a few clouds are enough.
+    few = replace(fragments, overlaps=[o for o in fragments.overlaps if max(o.source, o.target) < 4])
+    assert few.overlaps
+    monkeypatch.setattr(recipes, "fragments_of_meshes", lambda *_, **__: few)
     whole = run(settings_for(meshes, tmp_path / "whole.safetensors", **changes), progress=silent)
 
     def kill(share, text):

@@ -18,19 +18,20 @@ from cgf.diagnosis.surfaces import FREE_MOTION, Surface
 
 FAIR_OVERLAP = 0.45
 """All pairs with more register; with these weights, all but one of 98, which share 0.2 or more."""
-LOW_LIKENESS, FAIR_LIKENESS = 0.25, 0.26
+LOW_LIKENESS, FAIR_LIKENESS = 0.32, 0.33
 """Share of points that look more like their match than like their own cloud: halves of a room that share nothing have
-up to 0.24; of 69 pairs that share half of their points one has 0.23, which registers, the others 0.29 or more."""
+up to 0.31; of 69 pairs that share half of their points two have 0.28 and 0.32, which register, the others 0.34 or more.
+"""
 FEATURELESS = 0.003
 """Of a cloud's stability: made planes, spheres and cylinders have less, of 98 pairs none."""
 FEW_DISTINCTIVE = 0.3
-"""Pairs that share half of their points have 0.45 or more."""
+"""Pairs that share half of their points have 0.44 or more."""
 LOW_PRECISION = 0.11
-"""Of matches of points that have a partner; pairs that register have 0.21 or more, the one that does not has 0.10."""
+"""Of matches of points that have a partner; pairs that register have 0.20 or more, the one that does not has 0.08."""
 KEPT = 0.15
-"""Share of the best pose's matches that a refined estimate keeps; right ones have 0.61 or more."""
+"""Share of the best pose's matches that a refined estimate keeps; right ones have 0.67 or more."""
 RIVAL = 0.5
-"""Support of the second pose over that of the first; right poses have 0.46 or less, but for three."""
+"""Support of the second pose over that of the first; right poses have 0.48 or less, but for one with 0.61."""
 EQUAL, MANY = 0.7, 60
 """A second pose with this share of the first one's matches, of which there are so many, is no chance."""
 SELF_LIKE = 0.25
