@@ -3,8 +3,14 @@
 import numpy as np
 
 from app.pair_source import PairSource
+from app.session import Session
+from app.settings import ViewSettings
+from app.snapshot import Snapshot
 from cgf.geometry.transforms import invert, move, rigid, rotation_about
 from cgf.types import Pair, PointCloud, Transform
+
+LONG_S = 120.0
+SETTINGS = ViewSettings(support_radius=0.8)
 
 
 def bumpy_cloud(name: str = "hills", *, side: int = 32) -> PointCloud:
@@ -41,3 +47,10 @@ def strangers() -> Pair:
 def source_of(pair: Pair, *, command: tuple[str, ...] = ()) -> PairSource:
     """Offer a pair to a session."""
     return PairSource(pair.name, lambda: pair, command)
+
+
+def run(session: Session) -> Snapshot:
+    """Start a session and wait for its end."""
+    session.start()
+    assert session.wait_until_idle(LONG_S)
+    return session.snapshot()

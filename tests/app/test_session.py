@@ -13,22 +13,12 @@ from app.match_file import matches_file
 from app.pair_source import PairSource
 from app.picture import Picture
 from app.session import Session
-from app.settings import ViewSettings
 from app.snapshot import Snapshot
 from cgf import pipeline
 from cgf.checks import InputError
 from cgf.evaluation.matches import export_matches, match_errors
 from cgf.types import Pair
-from tests.app.scenes import hills, source_of, strangers
-
-LONG_S = 120.0
-SETTINGS = ViewSettings(support_radius=0.8)
-
-
-def run(session: Session) -> Snapshot:
-    session.start()
-    assert session.wait_until_idle(LONG_S)
-    return session.snapshot()
+from tests.app.scenes import LONG_S, SETTINGS, hills, run, source_of, strangers
 
 
 def settle(session: Session, **changes: object) -> Snapshot:

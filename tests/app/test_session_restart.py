@@ -7,19 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from app.session import Session
-from app.settings import ViewSettings
-from app.snapshot import Snapshot
 from cgf import pipeline
-from tests.app.scenes import hills, source_of
-
-LONG_S = 120.0
-SETTINGS = ViewSettings(support_radius=0.8)
-
-
-def run(session: Session) -> Snapshot:
-    session.start()
-    assert session.wait_until_idle(LONG_S)
-    return session.snapshot()
+from tests.app.scenes import LONG_S, SETTINGS, hills, run, source_of
 
 
 def test_a_second_run_of_the_viewer_computes_nothing_again(
