@@ -20,7 +20,15 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, HISTOGRAM_BINS, INPUT_GAIN, HistogramKind
-from cgf.descriptors.tile_layout import DEPTH, EDGE, aligned_room, histogram_order, steps_of, to_bfloat16
+from cgf.descriptors.tile_layout import (
+    DEPTH,
+    EDGE,
+    aligned_room,
+    histogram_order,
+    histogram_room,
+    steps_of,
+    to_bfloat16,
+)
 from cgf.geometry.lanes import INT64, LANES, Lanes, Writer, rounded
 
 _ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA = 158, 0x1023, 18
@@ -308,9 +316,7 @@ class TiledNetwork:
     def hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
         """The hidden layer, given these histograms, or their square roots, times `INPUT_GAIN`."""
         order = histogram_order(histograms.shape[1] // HISTOGRAM_BINS)
-        blocks, steps = -(-len(histograms) // EDGE), steps_of(len(order))
-        shape = (blocks, AZIMUTH_BINS, steps, EDGE, DEPTH)
-        tiles = aligned_room(int(np.prod(shape))).reshape(shape)
+        tiles = histogram_room(len(histograms), steps_of(len(order)))
         _put_into_tiles(histograms, order, self.histogram == "roots", tiles)
         return self.hidden_of_tiles(tiles, len(histograms))
 

@@ -69,15 +69,15 @@ def add_context(
         radii: In cloud units.
     """
     own, *others = parts
-    cells = [(points, own)] * len(radii)
+    cells = {}
 
-    def fill(part: slice) -> None:
-        for i in range(part.start, part.stop):
-            cells[i] = cell_means(points, others[i], radius=radii[i])
+    def fill(one: slice) -> None:
+        number = one.start
+        cells[number] = cell_means(points, others[number], radius=radii[number])
 
     for_each_block(fill, len(radii), block=1)
-    for (places, means), radius in zip(cells, radii, strict=True):
-        own += pool_features(places, means, radius=radius, at=points)
+    for number, radius in enumerate(radii):
+        own += pool_features(*cells[number], radius=radius, at=points)
     return own
 
 

@@ -53,7 +53,7 @@ def aligned_room(size):
     return room[start : start + size]
 
 
-def histogram_room(rows: int) -> UInt16[np.ndarray, "B 12 T 32 32"]:
-    """Memory for oriented histograms: blocks of 32 of them, whose sectors' rows stand together step by step."""
-    shape = (-(-rows // EDGE), AZIMUTH_BINS, HISTOGRAM_STEPS, EDGE, DEPTH)
+def histogram_room(rows: int, steps: int = HISTOGRAM_STEPS) -> UInt16[np.ndarray, "B 12 T 32 32"]:
+    """Memory for histograms, by default oriented: blocks of 32, whose sectors' rows stand together step by step."""
+    shape = (-(-rows // EDGE), AZIMUTH_BINS, steps, EDGE, DEPTH)
     return np.asarray(aligned_room(int(np.prod(shape))).reshape(shape))

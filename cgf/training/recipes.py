@@ -178,22 +178,14 @@ def _contrastive(
         joining = replace(loop, steps=settings.join_steps, learning_rate=_JOIN_RATE * loop.learning_rate)
         join_batches = partial(batches, joined=True)
         if settings.context:
-            surroundings = _surroundings(settings, defaults, fragments, network)
+            single = Network(replace(_card(settings, defaults), insets=(0,), context=()), _weights(network))
+            surroundings = Surroundings(fragments, single, insets=settings.insets, context=settings.context)
             # What lies around tells scenes apart, which is of no use where one cloud is matched with another.
             join_batches = partial(join_batches, scenes=1, surroundings=surroundings)
         network = joined(network, len(settings.insets), len(settings.context))
         draw = join_batches().draw
         network = optimise(network, draw=draw, settings=joining, folder=folder / "join")
     return _Trained(_weights(network), loop.steps)
-
-
-def _surroundings(
-    settings: TrainSettings, defaults: ModelDefaults, fragments: Fragments, network: FeatureNetwork
-) -> Surroundings:
-    """The clouds described by `network` as it is now."""
-    card = replace(_card(settings, defaults), insets=(0,), context=())
-    radii = tuple(radius * defaults.min_radius for radius in settings.context)
-    return Surroundings(fragments, Network(card, _weights(network)), insets=settings.insets, radii=radii)
 
 
 def _judged_dim(dims: tuple[int, ...]) -> int:

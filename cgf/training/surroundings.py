@@ -1,33 +1,48 @@
 """Features of all points of the training clouds, for a network that joins a feature with those around it."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float16, Float32, Float64, Int64
 
+from cgf.descriptors.cgf import HistogramDescriptor
 from cgf.descriptors.network import Network
 from cgf.descriptors.pooling import cell_means, pool_features
-from cgf.descriptors.spherical_histogram import histogram_grid
-from cgf.geometry.lrf import estimate_lrf
-from cgf.geometry.parallel import for_each_block
+from cgf.descriptors.settings import DescriptorSettings
+from cgf.descriptors.spherical_histogram import nested_scales
 from cgf.training.fragments import Fragments
-
-_BLOCK = 64
 
 
 class Surroundings:
     """Describes each cloud, as it is, when its first point is asked for, and keeps its features at half precision."""
 
-    def __init__(self, fragments: Fragments, network: Network, *, insets: tuple[int, ...], radii: tuple[float, ...]):
+    def __init__(
+        self, fragments: Fragments, network: Network, *, insets: tuple[int, ...], context: tuple[float, ...]
+    ) -> None:
         """Nothing is described yet.
 
         Args:
             fragments: Whose clouds have normals.
-            network: Describes one support.
+            network: Describes one support, the largest with the lengths of its card.
             insets: Of the supports, as of the histograms; their features stand side by side.
-            radii: Within which means are taken, in the unit of the clouds.
+            context: Radii, in innermost shells, within which means are taken.
         """
-        self._fragments, self._network, self._insets, self._radii = fragments, network, insets, radii
+        card = network.card
+        single = replace(network, card=replace(card, pooled=False))
+        lengths = {"support_radius": card.support_radius, "min_radius": card.min_radius}
+        self._fragments, self._radii = fragments, tuple(radius * card.min_radius for radius in context)
+        self._descriptors = [
+            HistogramDescriptor(
+                "cgf",
+                DescriptorSettings(
+                    **{name: scale * length for name, length in lengths.items()},
+                    lrf_radius=card.lrf_radius, dim=card.dims[-1], model=card.model,
+                ),
+                network=single,
+            )
+            for scale in nested_scales(insets, **lengths)
+        ]  # fmt: skip
         self._described = lru_cache(maxsize=None)(self._describe)
 
     def around(self, cloud: int, rows: Int64[np.ndarray, "K"]) -> Float32[np.ndarray, "K C W"]:
@@ -43,29 +58,9 @@ class Surroundings:
         return np.stack(means, axis=1)
 
     def _describe(self, cloud: int) -> tuple[Float64[np.ndarray, "N 3"], Float16[np.ndarray, "N W"]]:
-        card, points, normals = self._network.card, *self._cloud(cloud)
-        frames, defined = estimate_lrf(points, normals, np.arange(len(points)), radius=card.lrf_radius, kind=card.frame)
-        centers, frames = points[defined], frames[defined]
-        grid = histogram_grid(
-            points,
-            support_radius=card.support_radius,
-            min_radius=card.min_radius,
-            normals=normals if card.oriented else None,
-        )
-        features = np.empty((len(centers), len(self._insets) * card.dims[-1]), np.float16)
-        filled = np.ones(len(centers), np.bool_)
-
-        def fill(part: slice) -> None:
-            histograms, counts = grid.nested_histograms(
-                centers[part], frames[part], soft=card.soft, insets=self._insets
-            )
-            vectors = self._network.embed(histograms.reshape(-1, histograms.shape[-1]))
-            features[part], filled[part] = vectors.reshape(len(counts), -1), counts > 0
-
-        for_each_block(fill, len(centers), block=_BLOCK)
-        return centers[filled], features[filled]
-
-    def _cloud(self, number: int) -> tuple[Float64[np.ndarray, "N 3"], Float64[np.ndarray, "N 3"]]:
-        cloud = self._fragments.clouds[number]
-        assert cloud.normals is not None
-        return cloud.points, cloud.normals
+        described = self._fragments.clouds[cloud]
+        found = [descriptor.describe(described, np.arange(len(described))) for descriptor in self._descriptors]
+        # Those that have a neighbour in the smallest support have one in all.
+        rows = found[-1].indices
+        vectors = [features.vectors[np.isin(features.indices, rows)] for features in found]
+        return described.points[rows], np.concatenate(vectors, axis=1).astype(np.float16)

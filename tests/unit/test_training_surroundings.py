@@ -39,8 +39,7 @@ def test_features_are_those_that_were_trained(cloud, monkeypatch):
     torch.manual_seed(1)
     module = AzimuthNetwork(16, width=24)
     single = Network(replace(CARD, insets=(0,), context=()), weights_of(module))
-    radii = tuple(share * CARD.min_radius for share in CONTEXT)
-    surroundings = Surroundings(Fragments([cloud], [], []), single, insets=INSETS, radii=radii)
+    surroundings = Surroundings(Fragments([cloud], [], []), single, insets=INSETS, context=CONTEXT)
     module = joined(module, len(INSETS), len(CONTEXT))
     torch.nn.init.normal_(module.join.weight)
     settings = DescriptorSettings(
