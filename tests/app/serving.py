@@ -14,8 +14,7 @@ from app.ports import listen_socket
 from app.routes import create_app
 from app.session import Session
 from app.viewer.live import LiveScene
-
-LONG_S = 120.0
+from tests.app.scenes import LONG_S
 
 
 @dataclass(frozen=True)

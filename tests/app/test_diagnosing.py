@@ -10,10 +10,7 @@ from app.colors import NO_MATCH, SOURCE_TINT
 from app.session import Session
 from app.settings import ViewSettings
 from cgf.checks import InputError
-from tests.app.scenes import hills, source_of
-from tests.app.serving import LONG_S
-
-SETTINGS = ViewSettings(support_radius=0.8)
+from tests.app.scenes import LONG_S, SETTINGS, hills, source_of
 
 
 @pytest.fixture(scope="module")

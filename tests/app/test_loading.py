@@ -15,9 +15,7 @@ from app.session import Session
 from app.settings import ViewSettings
 from cgf.checks import InputError
 from cgf.io import read_transform, write_cloud, write_transform
-from tests.app.scenes import bumpy_cloud, hills, source_of
-
-LONG_S = 120.0
+from tests.app.scenes import LONG_S, bumpy_cloud, hills, source_of
 
 
 @pytest.fixture(scope="module")

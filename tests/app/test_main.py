@@ -17,10 +17,9 @@ from app.main import main, open_session
 from cgf import io
 from cgf.descriptors.network import shipped_weights
 from cgf.types import PointCloud
-from tests.app.scenes import hills
+from tests.app.scenes import LONG_S, hills
 
 ROOT = Path(__file__).resolve().parents[2]
-LONG_S = 120.0
 
 
 @pytest.fixture

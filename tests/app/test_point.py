@@ -10,14 +10,11 @@ import pytest
 from app.colors import DISTANCE_TABLE, NO_MATCH, STAGE_COLORS
 from app.picking import changes_at
 from app.session import Session
-from app.settings import Picked, Selected, ViewSettings
+from app.settings import Picked, Selected
 from cgf.checks import InputError
 from cgf.pipeline import REJECTIONS
 from cgf.types import Pair
-from tests.app.scenes import hills, source_of
-
-LONG_S = 120.0
-SETTINGS = ViewSettings(support_radius=0.8)
+from tests.app.scenes import LONG_S, SETTINGS, hills, source_of
 
 
 def noisy_hills() -> Pair:

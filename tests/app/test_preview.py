@@ -16,9 +16,7 @@ from app.snapshot import Snapshot
 from cgf import pipeline
 from cgf.geometry.transforms import apply
 from cgf.types import Features
-from tests.app.scenes import hills, source_of
-
-LONG_S = 120.0
+from tests.app.scenes import LONG_S, hills, source_of
 
 
 @pytest.fixture

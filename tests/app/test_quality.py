@@ -14,10 +14,9 @@ from app.picture import CloudPicture
 from app.routes.state import _event
 from app.session import Session
 from app.settings import Picked, ViewSettings
-from tests.app.scenes import hills, source_of
+from tests.app.scenes import LONG_S, hills, source_of
 from tests.judging import write_judging
 
-LONG_S = 120.0
 SETTINGS = ViewSettings(model="indoor", support_radius=0.8)
 
 

@@ -17,9 +17,7 @@ from app.settings import ViewSettings
 from cgf.checks import InputError
 from cgf.io import write_cloud
 from cgf.types import Pair
-from tests.app.scenes import hills, source_of
-
-LONG_S = 120.0
+from tests.app.scenes import LONG_S, hills, source_of
 
 
 @pytest.fixture(scope="module")

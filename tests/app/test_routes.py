@@ -19,9 +19,8 @@ from app.settings import ViewSettings
 from app.snapshot import Snapshot, Status
 from app.static_files import static_folder
 from tests.app.asgi import Answer, request
-from tests.app.scenes import hills, source_of
+from tests.app.scenes import LONG_S, hills, source_of
 
-LONG_S = 120.0
 JSON = {"content-type": "application/json"}
 
 

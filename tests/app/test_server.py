@@ -21,8 +21,8 @@ from websockets.sync.client import ClientConnection, connect
 from app.session import Session
 from app.settings import ViewSettings
 from app.snapshot import Snapshot
-from tests.app.scenes import hills, source_of
-from tests.app.serving import LONG_S, Served, serve
+from tests.app.scenes import LONG_S, hills, source_of
+from tests.app.serving import Served, serve
 
 PROTOCOL = f"viser-v{viser.__version__}"
 

@@ -16,10 +16,7 @@ from app.snapshot import Snapshot
 from cgf.checks import InputError
 from cgf.geometry import transforms
 from cgf.pipeline import RegistrationSettings
-from tests.app.scenes import hills, source_of
-
-LONG_S = 120.0
-SETTINGS = ViewSettings(support_radius=0.8)
+from tests.app.scenes import LONG_S, SETTINGS, hills, source_of
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,8 @@ from typing import Any
 
 from playwright.sync_api import Browser, ConsoleMessage, Frame, Page, expect
 
-from tests.app.serving import LONG_S, Served
+from tests.app.scenes import LONG_S
+from tests.app.serving import Served
 
 USUAL_SIZE = (1440, 900)
 

@@ -3,7 +3,7 @@
 import pytest
 from playwright.sync_api import expect
 
-from tests.app.serving import LONG_S
+from tests.app.scenes import LONG_S
 from tests.browser.driving import Viewer, rgb
 
 pytestmark = pytest.mark.browser

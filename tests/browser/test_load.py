@@ -6,8 +6,7 @@ import pytest
 from playwright.sync_api import expect
 
 from cgf.io import write_cloud
-from tests.app.scenes import bumpy_cloud, hills
-from tests.app.serving import LONG_S
+from tests.app.scenes import LONG_S, bumpy_cloud, hills
 from tests.browser.driving import Viewer
 
 pytestmark = pytest.mark.browser

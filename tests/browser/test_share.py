@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, expect
 
 from app.report import write_report
 from app.settings import Picked
-from tests.app.serving import LONG_S
+from tests.app.scenes import LONG_S
 from tests.browser.driving import Viewer
 
 pytestmark = pytest.mark.browser
