@@ -30,19 +30,17 @@ class Surroundings:
         """
         card = network.card
         single = replace(network, card=replace(card, pooled=False))
-        lengths = {"support_radius": card.support_radius, "min_radius": card.min_radius}
         self._fragments, self._radii = fragments, tuple(radius * card.min_radius for radius in context)
-        self._descriptors = [
-            HistogramDescriptor(
-                "cgf",
-                DescriptorSettings(
-                    **{name: scale * length for name, length in lengths.items()},
-                    lrf_radius=card.lrf_radius, dim=card.dims[-1], model=card.model,
-                ),
-                network=single,
+        self._descriptors = []
+        for scale in nested_scales(insets, support_radius=card.support_radius, min_radius=card.min_radius):
+            settings = DescriptorSettings(
+                support_radius=scale * card.support_radius,
+                min_radius=scale * card.min_radius,
+                lrf_radius=card.lrf_radius,
+                dim=card.dims[-1],
+                model=card.model,
             )
-            for scale in nested_scales(insets, **lengths)
-        ]  # fmt: skip
+            self._descriptors.append(HistogramDescriptor("cgf", settings, network=single))
         self._described = lru_cache(maxsize=None)(self._describe)
 
     def around(self, cloud: int, rows: Int64[np.ndarray, "K"]) -> Float32[np.ndarray, "K C W"]:
