@@ -26,6 +26,18 @@ function hasGraphicsCard() {
 // after what React may have to add.
 const AFTER_REACT_MS = 120;
 const drawsOnce = !hasGraphicsCard();
+
+// It draws every second besides, in case something has changed without a request. Where that takes processors, too, it does
+// so after what React may have to add, and else once in ten seconds.
+const BEAT_MS = 1000, RARELY = 10, HEEDED_MS = 3000;
+const isBeat = (act, delay) => drawsOnce && delay === BEAT_MS && /^\(\) ?=> ?\w+\(\)$/.test(String(act));
+let heededUntil = 0, beats = 0;
+const repeat = window.setInterval;
+window.setInterval = (act, delay, ...rest) => {
+  const beat = () => (performance.now() < heededUntil || ++beats % RARELY === 0) && act();
+  return repeat.call(window, isBeat(act, delay) ? beat : act, delay, ...rest);
+};
+
 let exposed;
 Object.defineProperty(window, "__viserMutable", {
   configurable: true,
@@ -38,6 +50,7 @@ Object.defineProperty(window, "__viserMutable", {
       const isReady = viewer.getRenderRequestState === "ready";
       const needsReact = !viewer.messageQueue.every(({ type }) => type === "SceneNodeUpdateMessage");
       if (viewer.messageQueue.length && isReady) viewer.drainMessageQueue?.();
+      if (needsReact) heededUntil = performance.now() + HEEDED_MS;
       const draw = isReady && drawsOnce ? viewer.scene?.__r3f?.root?.getState?.().invalidate : null;
       if (!draw) return request();
       draw();
