@@ -363,15 +363,18 @@ def _cut_oriented(quarters, shells, count, inset, row, tiles, to):
     for place in range(AZIMUTH_BINS * ELEVATION_BINS):
         start = place * shells * CHANNELS
         sector, elevation = divmod(place, ELEVATION_BINS)
-        innermost, along, away, around = np.int32(0), np.int32(0), np.int32(0), np.int32(0)
+        innermost = np.int32(0)
         for j in range(start, start + (surplus + 1) * CHANNELS, CHANNELS):
             innermost += quarters[j]
-            along += quarters[j + 1]
-            away += quarters[j + 2]
-            around += quarters[j + 3]
-        merged = np.float32(innermost)
-        root = part = np.float32(0.0)
+        root = part = merged = np.float32(0.0)
+        along, away, around = np.int32(0), np.int32(0), np.int32(0)
+        # A surface leaves most of them empty.
         if innermost > 0:
+            for j in range(start, start + (surplus + 1) * CHANNELS, CHANNELS):
+                along += quarters[j + 1]
+                away += quarters[j + 2]
+                around += quarters[j + 3]
+            merged = np.float32(innermost)
             root = np.sqrt(scale * merged)
             part = scale / root
         along_z = part * (step * np.float32(along) - merged)
