@@ -23,6 +23,7 @@ from cgf.descriptors.settings import AZIMUTH_BINS, COLUMN_BINS, HISTOGRAM_BINS, 
 from cgf.descriptors.tile_layout import (
     DEPTH,
     EDGE,
+    Tiles,
     aligned_room,
     histogram_order,
     histogram_room,
@@ -31,6 +32,12 @@ from cgf.descriptors.tile_layout import (
 )
 from cgf.geometry.lanes import INT64, LANES, Lanes, Writer, rounded
 
+WIDTH = 48
+"""Outputs of a block: three tiles of 16."""
+_TAPS = 3
+"""A sector and its two neighbours."""
+_ROWS_BYTES, _WEIGHTS_BYTES = 2 * EDGE * DEPTH, 2 * WIDTH * DEPTH
+"""Of a step."""
 _ARCH_PRCTL, _ARCH_REQ_XCOMP_PERM, _XFEATURE_XTILEDATA = 158, 0x1023, 18
 
 _CONFIGURATION = np.zeros(64, np.uint8)
@@ -65,61 +72,71 @@ def uses_tiles() -> bool:
     return precision != "float32" and has_tiles()
 
 
-def pack_weights(weight: Float32[np.ndarray, "O I3"]) -> UInt16[np.ndarray, "B S 1024"]:
-    """A layer for the tiles: per `EDGE` outputs, and per step of 32 inputs, two tiles of 16 outputs each.
+def pack_weights(weight: Float32[np.ndarray, "O I"], *, taps: int = _TAPS) -> UInt16[np.ndarray, "B S 1536"]:
+    """A layer for the tiles: per `WIDTH` outputs, and per step of 32 inputs, three tiles of 16 outputs each.
 
-    Its inputs are three runs of equal length, each padded with zeros to whole steps.
+    Its inputs are runs of equal length, as many as `taps`, each padded with zeros to whole steps.
     """
-    taps = 3
     outputs, inputs = len(weight), weight.shape[1] // taps
-    blocks, steps = -(-outputs // EDGE), steps_of(inputs)
-    padded = np.zeros((blocks * EDGE, taps, steps * DEPTH), np.float32)
+    blocks, steps = -(-outputs // WIDTH), steps_of(inputs)
+    padded = np.zeros((blocks * WIDTH, taps, steps * DEPTH), np.float32)
     padded[:outputs, :, :inputs] = weight.reshape(outputs, taps, inputs)
     # A tile's row holds, for each of 16 outputs, the weights of two inputs that follow each other.
-    parts = to_bfloat16(padded).reshape(blocks, 2, 16, taps * steps, 16, 2)
-    packed = aligned_room(parts.size).reshape(blocks, taps * steps, 2 * 16 * DEPTH)
+    parts = to_bfloat16(padded).reshape(blocks, WIDTH // LANES, LANES, taps * steps, DEPTH // 2, 2)
+    packed = aligned_room(parts.size).reshape(blocks, taps * steps, WIDTH * DEPTH)
     packed[:] = parts.transpose(0, 3, 1, 4, 2, 5).reshape(packed.shape)
     return packed
 
 
-def _run(label: int, operand: int) -> str:
-    """Assembly of one run of steps: two tiles of rows times two tiles of weights, added to the four sums."""
-    return f"""
-        movq ${operand}, %rax
-        movq $4, %rcx
-    {label}:
-        tileloadd (%rax,%r11,1), %tmm4
-        tileloadd (%rdx,%r11,1), %tmm6
-        tdpbf16ps %tmm6, %tmm4, %tmm0
-        tileloadd 1024(%rdx,%r11,1), %tmm7
-        tdpbf16ps %tmm7, %tmm4, %tmm1
-        tileloadd 1024(%rax,%r11,1), %tmm5
-        tdpbf16ps %tmm6, %tmm5, %tmm2
-        tdpbf16ps %tmm7, %tmm5, %tmm3
-        addq $$2048, %rax
-        addq $$2048, %rdx
-        decq %rcx
-        jnz {label}b
-    """
-
-
-_PRODUCTS = f"""
+_PRODUCTS = """
     tilezero %tmm0
     tilezero %tmm1
     tilezero %tmm2
     tilezero %tmm3
+    tilezero %tmm4
+    tilezero %tmm5
     movq $$64, %r11
-    movq $3, %rdx
-    {_run(1, 0)} {_run(2, 1)} {_run(3, 2)}
-    movq $5, %rax
-    movq $$128, %r11
+    movq $2, %r10
+    movq $3, %rcx
+    testq %rcx, %rcx
+    jz 2f
+1:
+    movq (%r10), %rax
+    addq $0, %rax
+    movq 8(%r10), %rdx
+    addq $1, %rdx
+    tileloadd (%rdx,%r11,1), %tmm7
+    tileloadd (%rax,%r11,1), %tmm6
+    tdpbf16ps %tmm7, %tmm6, %tmm0
+    tileloadd 1024(%rax,%r11,1), %tmm6
+    tdpbf16ps %tmm7, %tmm6, %tmm3
+    tileloadd 1024(%rdx,%r11,1), %tmm7
+    tdpbf16ps %tmm7, %tmm6, %tmm4
+    tileloadd (%rax,%r11,1), %tmm6
+    tdpbf16ps %tmm7, %tmm6, %tmm1
+    tileloadd 2048(%rdx,%r11,1), %tmm7
+    tdpbf16ps %tmm7, %tmm6, %tmm2
+    tileloadd 1024(%rax,%r11,1), %tmm6
+    tdpbf16ps %tmm7, %tmm6, %tmm5
+    addq $$16, %r10
+    decq %rcx
+    jnz 1b
+2:
+    movq $4, %rax
+    movq $$192, %r11
     tilestored %tmm0, (%rax,%r11,1)
     tilestored %tmm1, 64(%rax,%r11,1)
-    tilestored %tmm2, 2048(%rax,%r11,1)
-    tilestored %tmm3, 2112(%rax,%r11,1)
+    tilestored %tmm2, 128(%rax,%r11,1)
+    tilestored %tmm3, 3072(%rax,%r11,1)
+    tilestored %tmm4, 3136(%rax,%r11,1)
+    tilestored %tmm5, 3200(%rax,%r11,1)
 """
-"""Operands: three addresses of rows, address of weights, steps of a run, address of sums."""
-_CLOBBERED = "~{rax},~{rcx},~{rdx},~{r11},~{memory},~{dirflag},~{fpsr},~{flags}"
+"""Operands: addresses of rows, of weights and of pairs of offsets from both, number of pairs, address of sums.
+
+Each pair is a step: two tiles of rows times three tiles of weights, added to six sums. Rows are loaded twice, which the
+first cache does meanwhile: of what comes from the second, fewer and larger blocks of sums need less.
+"""
+_CLOBBERED = "~{rax},~{rcx},~{rdx},~{r10},~{r11},~{memory},~{dirflag},~{fpsr},~{flags}"
 
 
 def _assembly(builder: Any, text: str, operands: list[Any], constraints: str) -> None:
@@ -129,28 +146,23 @@ def _assembly(builder: Any, text: str, operands: list[Any], constraints: str) ->
 
 @intrinsic
 @no_type_check
-def _multiply(_context, rows, first, second, third, weights, steps, sums):
-    """Write into `sums` (32, 32) the products of 32 rows with 32 columns of weights.
+def _multiply(_context, rows, weights, steps, count, sums):
+    """Write into `sums` (32, 48) the products of 32 rows with 48 columns of weights, over `count` of `steps`.
 
-    Rows lie in blocks (32, 32), one for each step. Those of three runs of `steps` begin with number `first`, `second`
-    and `third`.
+    Each of these (., 2) tells where its block (32, 32) of rows, and its tiles of weights, begin, in bytes.
     """
 
     def generate(context, builder, signature, args):
-        def address(place, block=None):
-            data = context.make_array(signature.args[place])(context, builder, args[place]).data
-            number = INT64(0) if block is None else builder.mul(block, INT64(EDGE * DEPTH))
-            return builder.ptrtoint(builder.gep(data, [number]), INT64)
+        def address(place):
+            return builder.ptrtoint(
+                context.make_array(signature.args[place])(context, builder, args[place]).data, INT64
+            )
 
-        _assembly(
-            builder,
-            _PRODUCTS,
-            [*(address(0, args[k]) for k in (1, 2, 3)), address(4), args[5], address(6)],
-            ",".join(["r"] * 6 + [_CLOBBERED]),
-        )
+        operands = [address(0), address(1), address(2), args[3], address(4)]
+        _assembly(builder, _PRODUCTS, operands, ",".join(["r"] * len(operands) + [_CLOBBERED]))
         return context.get_dummy_value()
 
-    return types.void(rows, first, second, third, weights, steps, sums), generate
+    return types.void(rows, weights, steps, count, sums), generate
 
 
 @intrinsic
@@ -174,84 +186,114 @@ def _release(_context):
     return types.void(), generate
 
 
-def _rectified(write: Writer, sums: Any, bias: Any, row: Any, column: int, block: Any) -> Lanes:
-    """Sums plus their part of the bias, or zero, of 16 outputs of a block."""
-    place = write.builder.add(write.builder.mul(row, INT64(EDGE)), INT64(column))
-    first = write.builder.add(write.builder.mul(block, INT64(EDGE)), INT64(column))
-    values = write.load_each(sums, place) + write.load_each(bias, first)
+def _place(builder: Any, number: Any) -> Any:
+    """Where in blocks (steps, 32, 32) a number of the first row stands."""
+    step, rest = builder.udiv(number, INT64(DEPTH)), builder.urem(number, INT64(DEPTH))
+    return builder.add(builder.mul(step, INT64(EDGE * DEPTH)), rest)
+
+
+def _rectified(write: Writer, sums: Any, bias: Any, row: Any, column: Any) -> Lanes:
+    """Sums plus their part of the bias, or zero, of 16 outputs."""
+    place = write.builder.add(write.builder.mul(row, INT64(WIDTH)), column)
+    values = write.load_each(sums, place) + write.load_each(bias, column)
     return write.call(f"llvm.maxnum.v{LANES}f32", values, write.repeat(0.0))
 
 
 # As intrinsics, since where they are called the compiler would not turn loops into vector instructions.
 @intrinsic
 @no_type_check
-def _round(_context, values, gain, blocks, row):
-    """Write rounded multiples of `values` into a row of `blocks` (steps, 32, 32), as many as fill whole steps."""
+def _round(_context, values, gain, begin, blocks):
+    """Write rounded multiples of `values` (32, 48) into `blocks` (steps, 32, 32), from number `begin` on."""
 
     def generate(context, builder, signature, args):
         write = Writer(context, builder)
-        count = context.make_array(signature.args[0])(context, builder, args[0]).nitems
-        values, gain, blocks, row = write.unpack(signature, args)
-        start = builder.mul(row, INT64(DEPTH))
-        with write.steps(INT64(0), builder.and_(count, INT64(-DEPTH)), DEPTH) as (i, _):
-            to = builder.add(builder.mul(i, INT64(EDGE)), start)
-            for half in (INT64(0), INT64(LANES)):
-                multiples = write.repeat(gain) * write.load_each(values, builder.add(i, half))
-                write.store_rounded(multiples, blocks, builder.add(to, half))
+        values, gain, begin, blocks = write.unpack(signature, args)
+        for column in range(0, WIDTH, LANES):
+            first = _place(builder, builder.add(begin, INT64(column)))
+            with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
+                at = builder.add(builder.mul(row, INT64(WIDTH)), INT64(column))
+                to = builder.add(first, builder.mul(row, INT64(DEPTH)))
+                write.store_rounded(write.repeat(gain) * write.load_each(values, at), blocks, to)
         return context.get_dummy_value()
 
-    return types.void(values, gain, blocks, row), generate
+    return types.void(values, gain, begin, blocks), generate
 
 
 @intrinsic
 @no_type_check
-def _activate(_context, sums, bias, block, rounded):
-    """Rectified sums plus their part of `bias`, rounded."""
+def _activate(_context, sums, bias, begin, blocks):
+    """Write rectified sums plus `bias`, rounded, into `blocks` (steps, 32, 32), from output `begin` on."""
 
     def generate(context, builder, signature, args):
         write = Writer(context, builder)
-        sums, bias, block, rounded = write.unpack(signature, args)
-        with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
-            for column in (0, LANES):
-                to = builder.add(builder.mul(row, INT64(EDGE)), INT64(column))
-                write.store_rounded(_rectified(write, sums, bias, row, column, block), rounded, to)
+        sums, bias, begin, blocks = write.unpack(signature, args)
+        for column in range(0, WIDTH, LANES):
+            first = _place(builder, builder.add(begin, INT64(column)))
+            with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
+                to = builder.add(first, builder.mul(row, INT64(DEPTH)))
+                write.store_rounded(_rectified(write, sums, bias, row, INT64(column)), blocks, to)
         return context.get_dummy_value()
 
-    return types.void(sums, bias, block, rounded), generate
+    return types.void(sums, bias, begin, blocks), generate
 
 
 @intrinsic
 @no_type_check
-def _activate_and_pool(_context, sums, bias, block, largest, total):
-    """Rectified sums plus their part of `bias`, added to what blocks (32, 32) hold of all sectors."""
+def _activate_and_pool(_context, sums, bias, largest, total):
+    """Rectified sums plus `bias`, added to what `largest` and `total` (32, 48) hold of all sectors."""
 
     def generate(context, builder, signature, args):
         write = Writer(context, builder)
-        sums, bias, block, largest, total = write.unpack(signature, args)
+        sums, bias, largest, total = write.unpack(signature, args)
         with write.steps(INT64(0), INT64(EDGE), 1) as (row, _):
-            for column in (0, LANES):
-                values = _rectified(write, sums, bias, row, column, block)
-                at = builder.add(builder.mul(row, INT64(EDGE)), INT64(column))
+            for column in range(0, WIDTH, LANES):
+                values = _rectified(write, sums, bias, row, INT64(column))
+                at = builder.add(builder.mul(row, INT64(WIDTH)), INT64(column))
                 most = write.call(f"llvm.maxnum.v{LANES}f32", write.load_each(largest, at), values)
                 write.store_each(most, largest, at)
                 write.store_each(write.load_each(total, at) + values, total, at)
         return context.get_dummy_value()
 
-    return types.void(sums, bias, block, largest, total), generate
+    return types.void(sums, bias, largest, total), generate
 
 
 @njit(nogil=True)
 @no_type_check
-def _convolve(columns, weights, sums, sector, block):
-    """The sums of `EDGE` outputs of one sector, from itself and its two neighbours."""
-    steps = columns.shape[1]
-    before, after = (sector + AZIMUTH_BINS - 1) % AZIMUTH_BINS, (sector + 1) % AZIMUTH_BINS
-    _multiply(columns, before * steps, sector * steps, after * steps, weights[block], steps, sums)
+def _plan(used, stride, steps, counts):
+    """The `steps` that the sums of each sector take: those `used` of itself and its two neighbours.
+
+    A sector's rows are `stride` blocks.
+    """
+    own = used.shape[1]
+    for sector in range(AZIMUTH_BINS):
+        count = 0
+        for tap in range(_TAPS):
+            other = (sector + tap + AZIMUTH_BINS - 1) % AZIMUTH_BINS
+            for step in range(own):
+                if used[other, step]:
+                    steps[sector, count, 0] = (other * stride + step) * _ROWS_BYTES
+                    steps[sector, count, 1] = (tap * own + step) * _WEIGHTS_BYTES
+                    count += 1
+        counts[sector] = count
+
+
+@njit(nogil=True)
+@no_type_check
+def _room_for(outputs):
+    """Blocks (12, steps, 32, 32) for so many numbers of each row."""
+    steps = -(-outputs // DEPTH)
+    return aligned_room(AZIMUTH_BINS * steps * EDGE * DEPTH).reshape(AZIMUTH_BINS, steps, EDGE, DEPTH)
+
+
+@njit(nogil=True)
+@no_type_check
+def _room_for_plan(layer):
+    return np.empty((AZIMUTH_BINS, len(layer[0]), 2), np.int64), np.empty(AZIMUTH_BINS, np.int64)
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _put_into_tiles(histograms, order, roots, tiles):
+def _put_into_tiles(histograms, order, roots, tiles, used):
     """Rounded, in the order of the tiles."""
     for k in range(len(histograms)):
         for sector in range(AZIMUTH_BINS):
@@ -260,45 +302,52 @@ def _put_into_tiles(histograms, order, roots, tiles):
                 value = values[order[place]]
                 number = rounded(np.sqrt(value) if roots else value)
                 tiles[k // EDGE, sector, place // DEPTH, k % EDGE, place % DEPTH] = number
+                used[k // EDGE, sector, place // DEPTH] |= number != 0
 
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def _fill_hidden(tiles, first, second, third, last, biases, configuration, hidden):
-    size = EDGE * DEPTH
-    columns = aligned_room(AZIMUTH_BINS * len(first) * size).reshape(AZIMUTH_BINS, len(first), EDGE, DEPTH)
-    others = aligned_room(AZIMUTH_BINS * len(second) * size).reshape(AZIMUTH_BINS, len(second), EDGE, DEPTH)
-    largest, total = (np.empty((len(third), EDGE, EDGE), np.float32), np.empty((len(third), EDGE, EDGE), np.float32))
-    pooled = aligned_room(len(last[0]) * size).reshape(len(last[0]), EDGE, DEPTH)
-    sums = np.empty((EDGE, EDGE), np.float32)
-    run = len(last[0]) // 3
+def _fill_hidden(tiles, used, first, second, third, last, biases, configuration, hidden):
+    columns, others = _room_for(len(first) * WIDTH), _room_for(len(second) * WIDTH)
+    largest = np.empty((len(third), EDGE, WIDTH), np.float32)
+    total = np.empty((len(third), EDGE, WIDTH), np.float32)
+    pooled = aligned_room(len(last[0]) * EDGE * DEPTH).reshape(len(last[0]), EDGE, DEPTH)
+    sums = aligned_room(2 * EDGE * WIDTH).view(np.float32).reshape(EDGE, WIDTH)
+    steps, counts = _room_for_plan(first)
+    second_steps, second_counts = _room_for_plan(second)
+    third_steps, third_counts = _room_for_plan(third)
+    _plan(np.ones((AZIMUTH_BINS, len(second[0]) // _TAPS), np.bool_), columns.shape[1], second_steps, second_counts)
+    _plan(np.ones((AZIMUTH_BINS, len(third[0]) // _TAPS), np.bool_), others.shape[1], third_steps, third_counts)
+    last_steps = np.empty((len(pooled), 2), np.int64)
+    for step in range(len(pooled)):
+        last_steps[step, 0], last_steps[step, 1] = step * _ROWS_BYTES, step * _WEIGHTS_BYTES
     one, mean = np.float32(1.0), np.float32(1.0 / AZIMUTH_BINS)
     _configure(configuration)
     for start in range(0, len(hidden), EDGE):
         count = min(EDGE, len(hidden) - start)
         inputs = tiles[start // EDGE]
+        _plan(used[start // EDGE], inputs.shape[1], steps, counts)
         for sector in range(AZIMUTH_BINS):
             for block in range(len(first)):
-                _convolve(inputs, first, sums, sector, block)
-                _activate(sums, biases[0], block, columns[sector, block])
+                _multiply(inputs, first[block], steps[sector], counts[sector], sums)
+                _activate(sums, biases[0][block], block * WIDTH, columns[sector])
         for sector in range(AZIMUTH_BINS):
             for block in range(len(second)):
-                _convolve(columns, second, sums, sector, block)
-                _activate(sums, biases[1], block, others[sector, block])
+                _multiply(columns, second[block], second_steps[sector], second_counts[sector], sums)
+                _activate(sums, biases[1][block], block * WIDTH, others[sector])
         largest[:], total[:] = np.float32(0.0), np.float32(0.0)
         for sector in range(AZIMUTH_BINS):
             for block in range(len(third)):
-                _convolve(others, third, sums, sector, block)
-                _activate_and_pool(sums, biases[2], block, largest[block], total[block])
+                _multiply(others, third[block], third_steps[sector], third_counts[sector], sums)
+                _activate_and_pool(sums, biases[2][block], largest[block], total[block])
         for block in range(len(third)):
-            for r in range(count):
-                _round(largest[block, r], one, pooled[block : block + 1], r)
-                _round(total[block, r], mean, pooled[len(third) + block :], r)
+            _round(largest[block], one, block * WIDTH, pooled)
+            _round(total[block], mean, (len(third) + block) * WIDTH, pooled)
         for block in range(len(last)):
-            _multiply(pooled, 0, run, 2 * run, last[block], run, sums)
+            _multiply(pooled, last[block], last_steps, len(last_steps), sums)
             for r in range(count):
-                for j in range(min(EDGE, hidden.shape[1] - block * EDGE)):
-                    hidden[start + r, block * EDGE + j] = max(sums[r, j] + biases[3][block * EDGE + j], np.float32(0.0))
+                for j in range(min(WIDTH, hidden.shape[1] - block * WIDTH)):
+                    hidden[start + r, block * WIDTH + j] = max(sums[r, j] + biases[3][block, j], np.float32(0.0))
     _release()
 
 
@@ -306,9 +355,9 @@ def _fill_hidden(tiles, first, second, third, last, biases, configuration, hidde
 class TiledNetwork:
     """The weights of an azimuth network up to its hidden layer, packed for the tiles."""
 
-    layers: tuple[UInt16[np.ndarray, "_ _ 1024"], ...]
-    biases: tuple[Float32[np.ndarray, "_"], ...]
-    """Padded with zeros to whole blocks."""
+    layers: tuple[UInt16[np.ndarray, "_ _ 1536"], ...]
+    biases: tuple[Float32[np.ndarray, "_ 48"], ...]
+    """Padded with zeros."""
     width: int
     """Of the hidden layer."""
     histogram: HistogramKind
@@ -317,15 +366,13 @@ class TiledNetwork:
         """The hidden layer, given these histograms, or their square roots, times `INPUT_GAIN`."""
         order = histogram_order(histograms.shape[1] // HISTOGRAM_BINS)
         tiles = histogram_room(len(histograms), steps_of(len(order)))
-        _put_into_tiles(histograms, order, self.histogram == "roots", tiles)
+        _put_into_tiles(histograms, order, self.histogram == "roots", *tiles)
         return self.hidden_of_tiles(tiles, len(histograms))
 
-    def hidden_of_tiles(
-        self, tiles: UInt16[np.ndarray, "N 12 T 32 32"], count: int
-    ) -> Float32[np.ndarray, "{count} H"]:
+    def hidden_of_tiles(self, tiles: Tiles, count: int) -> Float32[np.ndarray, "{count} H"]:
         """The hidden layer of the first `count` histograms in `tiles`, as `HistogramGrid.fill_tiles` writes them."""
         hidden = np.empty((count, self.width), np.float32)
-        _fill_hidden(tiles, *self.layers, self.biases, _CONFIGURATION, hidden)
+        _fill_hidden(*tiles, *self.layers, self.biases, _CONFIGURATION, hidden)
         return hidden
 
 
@@ -338,11 +385,13 @@ def pack_network(weights: dict[str, Float32[np.ndarray, "..."]], histogram: Hist
     layers = [pack_weights(columns[:, :, order].reshape(first.shape))]
     layers += [pack_weights(weights[f"columns.{k}.weight"]) for k in (1, 2)]
     # The maximum and the mean over the sectors, each padded as the sums of the third layer are.
-    weight, width = weights["hidden.weight"], len(layers[2]) * EDGE
-    both = np.zeros((len(weight), 3 * DEPTH * -(-2 * width // (3 * DEPTH))), np.float32)
+    weight, width = weights["hidden.weight"], len(layers[2]) * WIDTH
     channels = weight.shape[1] // 2
+    both = np.zeros((len(weight), 2 * width), np.float32)
     both[:, :channels], both[:, width : width + channels] = weight[:, :channels], weight[:, channels:]
-    layers.append(pack_weights(both))
-    biases = [weights[f"{name}.bias"] for name in ("columns.0", "columns.1", "columns.2", "hidden")]
-    padded = [np.pad(bias, (0, len(layer) * EDGE - len(bias))) for bias, layer in zip(biases, layers, strict=True)]
-    return TiledNetwork(tuple(layers), tuple(padded), len(weight), histogram)
+    layers.append(pack_weights(both, taps=1))
+    names = ("columns.0", "columns.1", "columns.2", "hidden")
+    biases = [np.zeros((len(layer), WIDTH), np.float32) for layer in layers]
+    for name, padded in zip(names, biases, strict=True):
+        padded.reshape(-1)[: len(weights[f"{name}.bias"])] = weights[f"{name}.bias"]
+    return TiledNetwork(tuple(layers), tuple(biases), len(weight), histogram)

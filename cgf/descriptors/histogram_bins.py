@@ -116,12 +116,16 @@ def find_tilts(_context, offsets, normals, count, frame, low, high):
     return types.none(offsets, normals, count, frame, low, high), generate
 
 
-def _store_channels(write: Writer, sums: Any, start: Any, scale: Any, store: Callable[[int, Lanes], None]) -> None:
-    """Store what an oriented histogram holds of the 16 bins whose sums begin at `sums[start]`, channel by channel."""
+def _store_channels(write: Writer, sums: Any, start: Any, scale: Any, store: Callable[[int, Lanes], None]) -> Any:
+    """Store what an oriented histogram holds of the 16 bins whose sums begin at `sums[start]`, channel by channel.
+
+    Gives whether there is anything.
+    """
     together = [write.load_each(sums, write.builder.add(start, INT64(LANES * k))) for k in range(CHANNELS)]
     counts = write.every_fourth(together, 0)
     # A surface leaves most of them empty.
-    with write.builder.if_else(write.any_true(counts > write.repeat(0))) as (some, none):
+    is_filled = write.any_true(counts > write.repeat(0))
+    with write.builder.if_else(is_filled) as (some, none):
         with some:
             scale, tiny, step = write.repeat(scale), write.repeat(1e-20), write.repeat(1 / TILT_STEPS)
             count, *tilts = (write.every_fourth(together, channel).to_floats() for channel in range(CHANNELS))
@@ -132,6 +136,7 @@ def _store_channels(write: Writer, sums: Any, start: Any, scale: Any, store: Cal
         with none:
             for channel in range(CHANNELS):
                 store(channel, write.repeat(0.0))
+    return is_filled
 
 
 @intrinsic
@@ -158,7 +163,10 @@ def fill_channels(_context, sums, start, scale, row, to, stride):
 @intrinsic
 @no_type_check
 def fill_steps(_context, sums, start, scale, tiles, to):
-    """As `fill_channels`, rounded to bfloat16, into the row of a block of tiles; two channels take a step."""
+    """As `fill_channels`, rounded to bfloat16, into the row of a block of tiles; two channels take a step.
+
+    Gives whether any of the bins holds anything.
+    """
 
     def generate(context, builder, signature, arguments):
         write = Writer(context, builder)
@@ -168,10 +176,9 @@ def fill_steps(_context, sums, start, scale, tiles, to):
             step, place = divmod(channel * LANES, DEPTH)
             write.store_rounded(value, tiles, builder.add(to, INT64(step * EDGE * DEPTH + place)))
 
-        _store_channels(write, sums, start, scale, store)
-        return context.get_dummy_value()
+        return _store_channels(write, sums, start, scale, store)
 
-    return types.none(sums, start, scale, tiles, to), generate
+    return types.boolean(sums, start, scale, tiles, to), generate
 
 
 def _in_steps(write: Writer, component: Lanes) -> Lanes:

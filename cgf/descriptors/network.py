@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from jaxtyping import Float32, UInt16
+from jaxtyping import Float32
 
 from cgf.descriptors.settings import (
     AZIMUTH_BINS,
@@ -28,6 +28,7 @@ from cgf.descriptors.settings import (
 
 if TYPE_CHECKING:
     from cgf.descriptors.amx import TiledNetwork
+    from cgf.descriptors.tile_layout import Tiles
 
 NetworkKind = Literal["azimuth", "paper", "pca"]
 Weights = dict[str, Float32[np.ndarray, "..."]]
@@ -151,7 +152,7 @@ class Network:
         return self._outputs(self._hidden(rows), count)
 
     def embed_tiles(
-        self, tiles: UInt16[np.ndarray, "N 12 T 32 32"], count: int
+        self, tiles: "Tiles", count: int
     ) -> tuple[Float32[np.ndarray, "{count} D"], Float32[np.ndarray, "{count}"] | None]:
         """As `embed_and_judge`, of `count` points whose histograms `HistogramGrid.fill_tiles` wrote."""
         return self._outputs(self._tiled.hidden_of_tiles(tiles, count * len(self.card.insets)), count)

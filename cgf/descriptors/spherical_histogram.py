@@ -5,7 +5,7 @@ from functools import lru_cache
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt16
+from jaxtyping import Float32, Float64, Int64
 from numba import njit
 
 from cgf.descriptors.histogram_bins import HALF_SECTORS, fill_channels, fill_steps, find_bins, find_tilts, padded_edges
@@ -18,7 +18,7 @@ from cgf.descriptors.settings import (
     RADIAL_BINS,
     TILT_STEPS,
 )
-from cgf.descriptors.tile_layout import DEPTH, EDGE, HISTOGRAM_STEPS, INNERMOST_STEP, STEPS_OF_ELEVATION
+from cgf.descriptors.tile_layout import DEPTH, EDGE, HISTOGRAM_STEPS, INNERMOST_STEP, STEPS_OF_ELEVATION, Tiles
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
 from cgf.geometry.lanes import LANES, gather_offsets, rounded, scale_counts
 from cgf.geometry.parallel import for_each_block
@@ -30,7 +30,7 @@ _GATHERED = 1024
 _RUN = 256
 """Points gathered in one go."""
 _NO_ROWS = np.empty((0, 0, 0), np.float32)
-_NO_TILES = np.empty(0, np.uint16)
+_NO_TILES = Tiles(np.empty((0, 0, 0, 0, 0), np.uint16), np.empty((0, 0, 0), np.bool_))
 """Where histograms are not to be written."""
 
 
@@ -100,7 +100,7 @@ class HistogramGrid:
         *,
         soft: bool,
         insets: tuple[int, ...],
-        tiles: UInt16[np.ndarray, "N 12 T 32 32"],
+        tiles: Tiles,
     ) -> Int64[np.ndarray, "K"]:
         """Write oriented histograms as `nested_histograms` gives them, one support after the other, into `tiles`.
 
@@ -112,13 +112,14 @@ class HistogramGrid:
         """
         if self.normals is None:
             raise ValueError("points must have normals, got none; give them to histogram_grid")
-        if len(tiles) * EDGE < len(centers) * len(insets):
+        if len(tiles.numbers) * EDGE < len(centers) * len(insets):
             raise ValueError(
-                f"tiles must hold {len(centers) * len(insets)} histograms, got {len(tiles)} blocks of {EDGE}; "
+                f"tiles must hold {len(centers) * len(insets)} histograms, got {len(tiles.numbers)} blocks of {EDGE}; "
                 "get them from histogram_room"
             )
         counts = np.empty(len(centers), np.int64)
-        self._fill(centers, frames, soft, insets, _NO_ROWS, tiles.reshape(-1), counts)
+        tiles.used[:] = False
+        self._fill(centers, frames, soft, insets, _NO_ROWS, tiles, counts)
         return counts
 
     def _fill(
@@ -128,7 +129,7 @@ class HistogramGrid:
         soft: bool,
         insets: tuple[int, ...],
         rows: Float32[np.ndarray, "R S B"],
-        tiles: UInt16[np.ndarray, "_"],
+        tiles: Tiles,
         counts: Int64[np.ndarray, "K"],
     ) -> None:
         sq_edges, edges = _edges_of(max(insets), self.support_radius, self.min_radius)
@@ -144,7 +145,8 @@ class HistogramGrid:
             soft,
             insets,
             rows,
-            tiles,
+            tiles.numbers.reshape(-1),
+            tiles.used,
             counts,
         )
 
@@ -219,6 +221,7 @@ def _fill_histograms(
     insets,
     rows,
     tiles,
+    used,
     counts,
 ):
     sq_radius = radius * radius
@@ -290,8 +293,9 @@ def _fill_histograms(
             for support in range(len(insets)):
                 number = k * len(insets) + support
                 row = rows.reshape(-1)[number * size_of_row : (number + 1) * size_of_row]
-                to = (number // EDGE * AZIMUTH_BINS * HISTOGRAM_STEPS * EDGE + number % EDGE) * DEPTH
-                _cut_oriented(quarters.reshape(-1), shells, counts[k], insets[support], row, tiles, to)
+                block, place = divmod(number, EDGE)
+                to = (block * AZIMUTH_BINS * HISTOGRAM_STEPS * EDGE + place) * DEPTH
+                _cut_oriented(quarters.reshape(-1), shells, counts[k], insets[support], row, tiles, to, used, block)
 
 
 @njit(cache=True, nogil=True)
@@ -350,8 +354,11 @@ def _cut_support(quarters, shells, count, inset, row):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 @no_type_check
-def _cut_oriented(quarters, shells, count, inset, row, tiles, to):
-    """As `_cut_support`, of sums that stand together for each bin; or into the row of `tiles` that begins at `to`."""
+def _cut_oriented(quarters, shells, count, inset, row, tiles, to, used, block):
+    """As `_cut_support`, of sums that stand together for each bin; or into the row of `tiles` that begins at `to`.
+
+    What is not zero is marked in `used[block]`.
+    """
     total = 4 * count
     if inset > 0:
         for start in range(0, len(quarters), shells * CHANNELS):
@@ -391,9 +398,13 @@ def _cut_oriented(quarters, shells, count, inset, row, tiles, to):
         else:
             column = to + sector * HISTOGRAM_STEPS * EDGE * DEPTH
             after = elevation * CHANNELS
-            at = column + (INNERMOST_STEP + after // DEPTH) * EDGE * DEPTH + after % DEPTH
+            step_of_innermost, step_of_others = INNERMOST_STEP + after // DEPTH, elevation * STEPS_OF_ELEVATION
+            at = column + step_of_innermost * EDGE * DEPTH + after % DEPTH
             tiles[at] = rounded(root)
             tiles[at + 1] = rounded(along_z)
             tiles[at + 2] = rounded(off_axis)
             tiles[at + 3] = rounded(around_axis)
-            fill_steps(quarters, first, scale, tiles, column + elevation * STEPS_OF_ELEVATION * EDGE * DEPTH)
+            if innermost > 0:
+                used[block, sector, step_of_innermost] = True
+            if fill_steps(quarters, first, scale, tiles, column + step_of_others * EDGE * DEPTH):
+                used[block, sector, step_of_others : step_of_others + STEPS_OF_ELEVATION] = True

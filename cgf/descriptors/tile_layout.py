@@ -1,9 +1,9 @@
 """How rows of numbers lie in memory for the tile registers of `cgf.descriptors.amx`, and where each bin goes."""
 
-from typing import no_type_check
+from typing import NamedTuple, no_type_check
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt16
+from jaxtyping import Bool, Float32, Int64, UInt16
 from numba import njit
 
 from cgf.descriptors.settings import AZIMUTH_BINS, CHANNELS, COLUMN_BINS, ELEVATION_BINS, RADIAL_BINS
@@ -21,6 +21,15 @@ INNERMOST_STEP = _OUTER * CHANNELS * ELEVATION_BINS // DEPTH
 """From where on the innermost shells stand, channel by channel for each elevation, after all others."""
 STEPS_OF_ELEVATION = _OUTER * CHANNELS // DEPTH
 assert INNERMOST_STEP * DEPTH == _OUTER * CHANNELS * ELEVATION_BINS
+
+
+class Tiles(NamedTuple):
+    """Histograms as `cgf.descriptors.amx` takes them; from `histogram_room`."""
+
+    numbers: UInt16[np.ndarray, "B 12 T 32 32"]
+    """Blocks of 32, whose sectors' rows stand together step by step."""
+    used: Bool[np.ndarray, "B 12 T"]
+    """Which steps of a block hold anything but zeros; the others need not be multiplied."""
 
 
 def steps_of(numbers: int) -> int:
@@ -53,7 +62,7 @@ def aligned_room(size):
     return room[start : start + size]
 
 
-def histogram_room(rows: int, steps: int = HISTOGRAM_STEPS) -> UInt16[np.ndarray, "B 12 T 32 32"]:
-    """Memory for histograms, by default oriented: blocks of 32, whose sectors' rows stand together step by step."""
+def histogram_room(rows: int, steps: int = HISTOGRAM_STEPS) -> Tiles:
+    """Memory for so many histograms, by default oriented."""
     shape = (-(-rows // EDGE), AZIMUTH_BINS, steps, EDGE, DEPTH)
-    return np.asarray(aligned_room(int(np.prod(shape))).reshape(shape))
+    return Tiles(np.asarray(aligned_room(int(np.prod(shape))).reshape(shape)), np.zeros(shape[:3], np.bool_))

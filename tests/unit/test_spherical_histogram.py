@@ -125,12 +125,15 @@ def test_tiles_hold_the_same_histograms_rounded():
     grid = histogram_grid(points, support_radius=SUPPORT, min_radius=LEAST, normals=normals)
     rows, neighbors = grid.nested_histograms(points[:35], frames, soft=True, insets=insets)
     tiles = histogram_room(35 * len(insets))
-    assert tiles.ctypes.data % 64 == 0
+    assert tiles.numbers.ctypes.data % 64 == 0
+    tiles.used[:] = True
     counts = grid.fill_tiles(points[:35], frames, soft=True, insets=insets, tiles=tiles)
     np.testing.assert_array_equal(counts, neighbors)
     order = histogram_order(CHANNELS)
     assert sorted(order) == list(range(4 * 187))
-    found = tiles.transpose(0, 3, 1, 2, 4).reshape(-1, 12, 24 * 32)
+    np.testing.assert_array_equal(tiles.used, tiles.numbers.any(axis=(3, 4)))
+    assert not tiles.used.all()
+    found = tiles.numbers.transpose(0, 3, 1, 2, 4).reshape(-1, 12, 24 * 32)
     expected = to_bfloat16(rows).reshape(-1, 12, 4 * 187)[:, :, order]
     np.testing.assert_array_equal(found[: len(expected), :, : len(order)], expected)
     assert not found[len(expected) :].any()
