@@ -248,10 +248,7 @@ class Analyst:
                 source_shown=borrowing(analysis.source_shown, source, features[0]),
                 target_shown=borrowing(analysis.target_shown, target, features[1]),
             )
-            matches, back = (
-                pipeline.match_features(first, second, resolved, cancelled=job.is_cancelled)
-                for first, second in (features, features[::-1])
-            )
+            matches, back = pipeline.match_both_features(features[0], features[1], resolved, cancelled=job.is_cancelled)
             show(replace(preview, matches=matches, back_matches=back))
 
     def _described(self, analysis: Analysis, job: Job) -> Analysis:
@@ -291,12 +288,9 @@ class Analyst:
         assert source is not None
         assert target is not None
 
-        def match(first: Features, second: Features) -> MatchTable:
-            return pipeline.match_cached(first, second, resolved, self._disk, cancelled=job.is_cancelled)
-
         def match_both() -> tuple[MatchTable, MatchTable]:
             job.progress(0.85, "Matching features")
-            return match(source, target), match(target, source)
+            return pipeline.match_both_cached(source, target, resolved, self._disk, cancelled=job.is_cancelled)
 
         both = self._cache.get("match", pipeline.match_key(source, target), match_both)
         # Found again by the settings alone, for those who do not want to describe first.

@@ -1,12 +1,16 @@
 """Exact nearest neighbours in feature space, and the filters people apply to them."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 from cgf.matching.ranking import surest_rows, trust
 from cgf.types import Correspondences, Features, IsCancelled, Progress
+
+if TYPE_CHECKING:
+    from cgf.matching.search import Nearest
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,24 +65,39 @@ def match(
         ValueError: The features differ in descriptor or dimension, or have non-finite values.
         Cancelled: `cancelled` returned True.
     """
+    return match_both(source, target, progress=progress, cancelled=cancelled)[0]
+
+
+def match_both(
+    source: Features, target: Features, *, progress: Progress | None = None, cancelled: IsCancelled | None = None
+) -> tuple[MatchTable, MatchTable]:
+    """As `match`, from the source to the target, and from the target to the source, in the time of one of the two."""
     _check_comparable(source, target)
     if not len(source) or not len(target):
-        return MatchTable(empty_correspondences(), np.zeros(0, dtype=bool))
+        return _no_matches(), _no_matches()
     # Numba is imported on first use, so that commands start quickly.
     from cgf.matching.search import search
 
-    found = search(source.vectors, target.vectors, progress=progress, cancelled=cancelled)
+    forward, back = search(source.vectors, target.vectors, progress=progress, cancelled=cancelled)
+    return _table(source, target, forward, back.first), _table(target, source, back, forward.first)
+
+
+def _table(source: Features, target: Features, found: "Nearest", back: Int64[np.ndarray, "M"]) -> MatchTable:
+    """The matches of `source`; `back` is the nearest of it to each of the target's features."""
     indices = np.column_stack([source.indices, target.indices[found.first]])
     distances, second = np.sqrt(found.sq_first), np.sqrt(found.sq_second)
     ratios = np.ones(len(source))
     np.divide(distances, second, out=ratios, where=second > 0)
-    correspondences = Correspondences(indices, distances.astype(np.float32), ratios.astype(np.float32))
     return MatchTable(
-        correspondences,
-        found.back[found.first] == np.arange(len(source)),
+        Correspondences(indices, distances.astype(np.float32), ratios.astype(np.float32)),
+        back[found.first] == np.arange(len(source)),
         source.quality,
         None if target.quality is None else target.quality[found.first],
     )
+
+
+def _no_matches() -> MatchTable:
+    return MatchTable(empty_correspondences(), np.zeros(0, dtype=bool))
 
 
 def filter_rows(

@@ -18,16 +18,20 @@ _CHUNK = 1_000_000
 
 
 class Nearest(NamedTuple):
-    """Both directions of a search."""
+    """What is nearest to each feature of one side."""
 
     first: Int64[np.ndarray, "N"]
-    """Nearest target of each source."""
+    """Nearest of the other side."""
     sq_first: Float64[np.ndarray, "N"]
     """Squared distance to it."""
     sq_second: Float64[np.ndarray, "N"]
-    """Squared distance to the second nearest; infinite where there is one target only."""
-    back: Int64[np.ndarray, "M"]
-    """Nearest source of each target."""
+    """Squared distance to the second nearest; infinite where the other side has one only."""
+
+    def in_order(self, rows: Int64[np.ndarray, "N"]) -> "Nearest":
+        """The same, of which number k belongs to feature `rows[k]`."""
+        back = np.empty_like(rows)
+        back[rows] = np.arange(len(rows))
+        return Nearest(*(values[back] for values in self))
 
 
 def search(
@@ -36,12 +40,13 @@ def search(
     *,
     progress: Progress | None = None,
     cancelled: IsCancelled | None = None,
-) -> Nearest:
-    """Find the nearest of the other side's features for each feature; ties go to the lower row.
+) -> tuple[Nearest, Nearest]:
+    """Find the two nearest of the other side's features for each feature of both sides; ties go to the lower row.
 
     The score of source a and target b is -|a - b|^2 / 2, in single precision the product of both less half their
     squared lengths. Where scores differ by less than their rounding errors, distances in double precision decide.
-    Scores are not kept: memory beyond the result is one copy of the target and, for each thread, two values per target.
+    Scores are not kept: memory beyond the result is a copy of the source, two of the target and, for each thread, four
+    values per target.
 
     Args:
         source: Finite, at least one.
@@ -49,10 +54,15 @@ def search(
         progress: Told the share done, once a block of the source.
         cancelled: Asked once a block whether to give up.
 
+    Returns:
+        For the source, then for the target.
+
     Raises:
         Cancelled: `cancelled` returned True.
     """
-    source, target = np.ascontiguousarray(source), np.ascontiguousarray(target)
+    # In order, features become more and more alike on the way to the nearest, and each would be the nearest so far.
+    rows = _shuffled(len(source)), _shuffled(len(target))
+    source, target = source[rows[0]], target[rows[1]]
     frame = _Frame.of(source, target)
     panels = frame.panels(target, LANES)
     first, second = np.zeros(len(source), np.int64), np.zeros(len(source), np.int64)
@@ -60,28 +70,33 @@ def search(
     backs: list[_Back] = []
     idle: list[_Back] = []
 
-    def fill(rows: slice) -> None:
+    def fill(part: slice) -> None:
         raise_if_cancelled(cancelled)
         try:
             back = idle.pop()
         except IndexError:
             back = _Back.of(len(target), len(panels))
             backs.append(back)
-        found = first[rows], second[rows]
-        block = frame.panels(source[rows], ROWS)
-        search_tiles(source, target, block, panels, rows.start, frame.doubt, *found, *back)
+        found = first[part], second[part]
+        block = frame.panels(source[part], ROWS)
+        bounds = np.full(len(block) * ROWS, UNKNOWN), np.full(len(block) * ROWS, UNKNOWN)
+        search_tiles(
+            source, target, rows, block, panels, part.start, frame.doubt, found, back.nearest, bounds, back.bounds
+        )
         idle.append(back)
-        own = np.arange(rows.start, rows.stop)
-        sq_first[rows] = sq_distances(source, target, own, found[0])
+        own = np.arange(part.start, part.stop)
+        sq_first[part] = sq_distances(source, target, own, found[0])
         if len(target) > 1:
-            sq_second[rows] = sq_distances(source, target, own, found[1])
+            sq_second[part] = sq_distances(source, target, own, found[1])
 
     def report(done: int) -> None:
         if progress is not None:
             progress(done / len(source), "Matching features")
 
     for_each_block(fill, len(source), block=BLOCK, finished=report)
-    return Nearest(first, sq_first, sq_second, _merged(source, target, [back.nearest for back in backs]))
+    back = _merged(source, target, rows[0], np.concatenate([back.nearest for back in backs]))
+    forward = Nearest(rows[1][first], sq_first, sq_second)
+    return forward.in_order(rows[0]), back.in_order(rows[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,28 +139,36 @@ class _Frame:
 
 
 class _Back(NamedTuple):
-    """The nearest source of each target, of those that one thread has seen."""
+    """The two nearest sources of each target, of those that one thread has seen."""
 
-    nearest: Int64[np.ndarray, "M"]
-    bounds: Float32[np.ndarray, "Q L"]
+    nearest: tuple[Int64[np.ndarray, "M"], Int64[np.ndarray, "M"]]
+    """-1 where there is none."""
+    bounds: tuple[Float32[np.ndarray, "L"], Float32[np.ndarray, "L"]]
 
     @classmethod
     def of(cls, count: int, panels: int) -> "_Back":
-        bounds = np.full((panels, LANES), UNKNOWN)
-        bounds.ravel()[count:] = np.inf
-        return cls(np.zeros(count, np.int64), bounds)
+        bounds = np.full(panels * LANES, UNKNOWN), np.full(panels * LANES, UNKNOWN)
+        bounds[1][count:] = np.inf
+        return cls((np.full(count, -1), np.full(count, -1)), bounds)
 
 
 def _merged(
-    source: Float32[np.ndarray, "N D"], target: Float32[np.ndarray, "M D"], parts: list[Int64[np.ndarray, "M"]]
-) -> Int64[np.ndarray, "M"]:
-    """The nearest source of each target, of those that the threads found."""
-    if len(parts) == 1:
-        return parts[0]
+    source: Float32[np.ndarray, "N D"],
+    target: Float32[np.ndarray, "M D"],
+    rows: Int64[np.ndarray, "N"],
+    candidates: Int64[np.ndarray, "C M"],
+) -> Nearest:
+    """The two nearest of each target, as rows of the source, of those that the threads found."""
     own = np.arange(len(target))
-    sq = np.stack([sq_distances(source, target, part, own) for part in parts])
-    nearest = np.stack(parts)
-    return np.where(sq == sq.min(axis=0), nearest, len(source)).min(axis=0)
+    sq = np.stack([np.where(some < 0, np.inf, sq_distances(target, source, own, some)) for some in candidates])
+    found = rows[candidates]
+    order = np.lexsort((found, sq), axis=0)
+    first, second = order[0], order[1]
+    return Nearest(found[first, own], sq[first, own], sq[second, own])
+
+
+def _shuffled(count: int) -> Int64[np.ndarray, "{count}"]:
+    return np.random.default_rng(0).permutation(count)
 
 
 def _chunks(vectors: Float32[np.ndarray, "N D"], *, multiple: int = 1) -> Iterator[Float32[np.ndarray, "_ D"]]:

@@ -125,8 +125,10 @@ def _sq_distance(a, b):
 
 @njit
 @no_type_check
-def _is_nearer(point, other, best):
-    return _sq_distance(point, other) < _sq_distance(point, best)
+def _is_nearer(point, others, rows, candidate, best):
+    """Exactly; of equal distances, the lower row is the nearer."""
+    sq, sq_best = _sq_distance(point, others[candidate]), _sq_distance(point, others[best])
+    return sq < sq_best or (sq == sq_best and rows[candidate] < rows[best])
 
 
 @njit(cache=True, nogil=True)
@@ -139,9 +141,23 @@ def sq_distances(a, b, rows_a, rows_b):
     return sq
 
 
+@njit(inline="always")
+@no_type_check
+def _take(score, doubt, point, others, rows, candidate, k, first, second, first_bounds, second_bounds):
+    """Let `candidate` be the nearest or second nearest of point number `k`, if it is; its score reaches the bound."""
+    doubts = np.float32(2.0) * doubt
+    if score > second_bounds[k] + doubts or _is_nearer(point, others, rows, candidate, second[k]):
+        bound = first_bounds[k]
+        if score > bound + doubts or (score >= bound and _is_nearer(point, others, rows, candidate, first[k])):
+            second[k], second_bounds[k] = first[k], bound
+            first[k], first_bounds[k] = candidate, score - doubt
+        else:
+            second[k], second_bounds[k] = candidate, score - doubt
+
+
 @njit(cache=True, nogil=True)
 @no_type_check
-def search_tiles(source, target, source_panels, target_panels, start, doubt, first, second, back, back_bounds):
+def search_tiles(source, target, rows, source_panels, target_panels, start, doubt, forward, back, bounds, back_bounds):
     """Search all of the target for a block of the source, and the block for all of the target.
 
     A bound is the best score so far less `doubt`: a pair below it is farther, a pair above it by more than twice the
@@ -150,23 +166,25 @@ def search_tiles(source, target, source_panels, target_panels, start, doubt, fir
     Args:
         source: (N, D) features.
         target: (M, D) features.
+        rows: Two, (N,) and (M,): of equally near features, that of the lower row counts as nearer.
         source_panels: (P, D + 1, ROWS): of the block, centred, scaled and padded.
         target_panels: (Q, D + 1, LANES): of the target.
-        start: Row of the source at which the block starts.
+        start: Number of the source feature with which the block starts.
         doubt: By how much the scores of two pairs may differ although their distances are in the other order.
-        first: (B,) written: row of the target nearest to each of the block's.
-        second: (B,) written: the second nearest; anything where there is none.
-        back: (M,) changed: nearest row of the source so far.
-        back_bounds: (Q, LANES) changed: its bound.
+        forward: Two of (B,) written: numbers of the target features nearest and second nearest to each of the block's;
+            anything where there is none.
+        back: Two of (M,) changed: the same of the target, in the source, so far.
+        bounds: Two of (P * ROWS,) changed: bounds of `forward`.
+        back_bounds: Two of (Q * LANES,) changed: bounds of `back`.
     """
-    doubts = np.float32(2.0) * doubt
     scores = np.empty((ROWS, LANES), np.float32)
-    first_bounds = np.full((len(source_panels), ROWS), UNKNOWN)
-    second_bounds = np.full((len(source_panels), ROWS), UNKNOWN)
-    # Rows and columns are visited in ascending order and only what is nearer counts, so ties go to the lower one.
+    (first, second), (first_bounds, second_bounds) = forward, bounds
+    (back_first, back_second), (back_first_bounds, back_second_bounds) = back, back_bounds
+    row_bounds, lane_bounds = second_bounds.reshape(-1, ROWS), back_second_bounds.reshape(-1, LANES)
+    source_rows, target_rows = rows
     for q in range(len(target_panels)):
         for p in range(len(source_panels)):
-            bits = _score_tile(source_panels[p], target_panels[q], second_bounds[p], back_bounds[q], scores)
+            bits = _score_tile(source_panels[p], target_panels[q], row_bounds[p], lane_bounds[q], scores)
             if bits == 0:
                 continue
             for r in range(ROWS):
@@ -175,24 +193,20 @@ def search_tiles(source, target, source_panels, target_panels, start, doubt, fir
                 row = p * ROWS + r
                 i = start + row
                 for lane in range(LANES):
-                    score, j, bound = scores[r, lane], q * LANES + lane, second_bounds[p, r]
-                    if score < bound:
-                        continue
-                    if score <= bound + doubts and not _is_nearer(source[i], target[j], target[second[row]]):
-                        continue
-                    bound = first_bounds[p, r]
-                    if score > bound + doubts or (
-                        score >= bound and _is_nearer(source[i], target[j], target[first[row]])
-                    ):
-                        second[row], second_bounds[p, r] = first[row], bound
-                        first[row], first_bounds[p, r] = j, score - doubt
-                    else:
-                        second[row], second_bounds[p, r] = j, score - doubt
+                    score, j = scores[r, lane], q * LANES + lane
+                    if score >= second_bounds[row]:
+                        _take(
+                            score, doubt, source[i], target, target_rows, j, row,
+                            first, second, first_bounds, second_bounds,
+                        )  # fmt: skip
             for lane in range(LANES):
                 if not (bits >> lane) & 1:
                     continue
                 j = q * LANES + lane
                 for r in range(ROWS):
-                    score, i, bound = scores[r, lane], start + p * ROWS + r, back_bounds[q, lane]
-                    if score > bound + doubts or (score >= bound and _is_nearer(target[j], source[i], source[back[j]])):
-                        back[j], back_bounds[q, lane] = i, score - doubt
+                    score, i = scores[r, lane], start + p * ROWS + r
+                    if score >= back_second_bounds[j]:
+                        _take(
+                            score, doubt, target[j], source, source_rows, i, j,
+                            back_first, back_second, back_first_bounds, back_second_bounds,
+                        )  # fmt: skip

@@ -7,7 +7,7 @@ are `InputError`s and name the option of the command line.
 """
 
 from cgf.descriptors.settings import MODEL_DEFAULTS
-from cgf.pipeline.cache import DiskCache, describe_cached, feature_key, match_cached, match_key
+from cgf.pipeline.cache import DiskCache, describe_cached, feature_key, match_both_cached, match_key
 from cgf.pipeline.dense import describe_all, interpolate, nearest_described
 from cgf.pipeline.inspection import (
     ALIKE,
@@ -39,6 +39,7 @@ from cgf.pipeline.stages import (
     describe,
     filtered_rows,
     load_pair,
+    match_both_features,
     match_features,
     prepare,
     run_pair,
@@ -74,7 +75,8 @@ __all__ = [
     "inspect_point",
     "interpolate",
     "load_pair",
-    "match_cached",
+    "match_both_cached",
+    "match_both_features",
     "match_features",
     "match_key",
     "nearest_described",

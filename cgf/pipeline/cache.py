@@ -22,7 +22,7 @@ import numpy as np
 from cgf.descriptors.network import Network, load_network
 from cgf.matching import MatchTable
 from cgf.pipeline.settings import ResolvedSettings
-from cgf.pipeline.stages import at_dim, describe, match_features
+from cgf.pipeline.stages import at_dim, describe, match_both_features
 from cgf.types import Correspondences, Features, IsCancelled, PointCloud, Progress
 
 MAX_BYTES = 1 << 30
@@ -175,7 +175,7 @@ def describe_cached(
     return features
 
 
-def match_cached(
+def match_both_cached(
     source: Features,
     target: Features,
     settings: ResolvedSettings,
@@ -183,22 +183,31 @@ def match_cached(
     *,
     progress: Progress | None = None,
     cancelled: IsCancelled | None = None,
-) -> MatchTable:
-    """What `match_features` gives, from `cache` where it holds it; arguments and errors as there."""
+) -> tuple[MatchTable, MatchTable]:
+    """What `match_both_features` gives, from `cache` where it holds it; arguments and errors as there."""
     if cache is None:
-        return match_features(source, target, settings, progress=progress, cancelled=cancelled)
+        return match_both_features(source, target, settings, progress=progress, cancelled=cancelled)
     key = match_key(at_dim(source, settings), at_dim(target, settings))
     arrays = cache.get(key)
     if arrays is not None:
-        correspondences = Correspondences(arrays["indices"], arrays["distances"], arrays["ratios"])
-        return MatchTable(correspondences, arrays["mutual"], arrays.get("source_quality"), arrays.get("target_quality"))
-    table = match_features(source, target, settings, progress=progress, cancelled=cancelled)
+        return _table_of(arrays, "forward"), _table_of(arrays, "back")
+    forward, back = match_both_features(source, target, settings, progress=progress, cancelled=cancelled)
+    cache.put(key, _arrays_of(forward, "forward") | _arrays_of(back, "back"))
+    return forward, back
+
+
+def _arrays_of(table: MatchTable, name: str) -> Arrays:
     found = table.correspondences
     arrays = {"indices": found.indices, "distances": found.distances, "ratios": found.ratios, "mutual": table.mutual}
     if table.source_quality is not None and table.target_quality is not None:
         arrays |= {"source_quality": table.source_quality, "target_quality": table.target_quality}
-    cache.put(key, arrays)
-    return table
+    return {f"{name} {key}": values for key, values in arrays.items()}
+
+
+def _table_of(arrays: Arrays, name: str) -> MatchTable:
+    found = Correspondences(*(arrays[f"{name} {key}"] for key in ("indices", "distances", "ratios")))
+    qualities = (arrays.get(f"{name} {key}") for key in ("source_quality", "target_quality"))
+    return MatchTable(found, arrays[f"{name} mutual"], *qualities)
 
 
 def _seal(key: str, payload: bytes) -> bytes:

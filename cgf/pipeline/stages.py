@@ -11,7 +11,7 @@ from jaxtyping import Int64
 from cgf import descriptors
 from cgf.checks import InputError
 from cgf.descriptors.settings import DescriptorSettings
-from cgf.matching import MatchTable, filter_rows, match
+from cgf.matching import MatchTable, filter_rows, match_both
 from cgf.pipeline.registering import RegistrationSettings, register_pair, registration_warning
 from cgf.pipeline.settings import PairSettings, ResolvedSettings, correct, resolve
 from cgf.types import (
@@ -177,8 +177,20 @@ def match_features(
     Raises:
         Cancelled: `cancelled` returned True.
     """
+    return match_both_features(source_features, target_features, settings, progress=progress, cancelled=cancelled)[0]
+
+
+def match_both_features(
+    source_features: Features,
+    target_features: Features,
+    settings: ResolvedSettings,
+    *,
+    progress: Progress | None = None,
+    cancelled: IsCancelled | None = None,
+) -> tuple[MatchTable, MatchTable]:
+    """As `match_features`, and from the target to the source, in the same time."""
     source, target = at_dim(source_features, settings), at_dim(target_features, settings)
-    return match(source, target, progress=progress, cancelled=cancelled)
+    return match_both(source, target, progress=progress, cancelled=cancelled)
 
 
 def at_dim(features: Features, settings: ResolvedSettings) -> Features:

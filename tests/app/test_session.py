@@ -160,7 +160,7 @@ class Counted:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.calls: list[str] = []
-        for name in ("prepare", "describe", "match_features", "register_pair"):
+        for name in ("prepare", "describe", "match_both_features", "register_pair"):
             for module in (pipeline, pipeline.cache):
                 if hasattr(module, name):
                     monkeypatch.setattr(module, name, self._counting(name, getattr(module, name)))
@@ -211,7 +211,7 @@ def test_another_dimension_matches_prefixes_of_the_same_features(
 ) -> None:
     counted = Counted(monkeypatch)
     snapshot = settle(session, dim=16)
-    assert counted.calls == ["match_features", "match_features", "register_pair"]
+    assert counted.calls == ["match_both_features", "register_pair"]
     assert snapshot.controls is not None
     assert snapshot.controls.dim == 16
 

@@ -31,9 +31,9 @@ def test_a_second_run_of_the_viewer_computes_nothing_again(
         assert snapshots[-1].settled, snapshots[-1].messages
         session.close()
         monkeypatch.setattr("cgf.pipeline.cache.describe", None)
-        monkeypatch.setattr("cgf.pipeline.cache.match_features", None)
+        monkeypatch.setattr("cgf.pipeline.cache.match_both_features", None)
     assert snapshots[0].numbers == snapshots[1].numbers
-    assert len(list(disk.folder.iterdir())) == 4
+    assert len(list(disk.folder.iterdir())) == 3
     assert described == []
     monkeypatch.undo()
     monkeypatch.setattr(pipeline, "describe", noting)

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cgf.matching import MatchTable, filter_rows, match, nearest
+from cgf.matching import MatchTable, filter_rows, match, match_both, nearest
 from cgf.matching.ranking import RANKINGS, surest_rows, trust
 from cgf.matching.search import BLOCK
 from cgf.matching.tiles import LANES, ROWS
@@ -30,14 +30,19 @@ def sq_distances(source: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def assert_brute_force_agrees(source: np.ndarray, target: np.ndarray) -> None:
-    table = match(features(source), features(target))
+    forward, back = match_both(features(source), features(target))
     sq = sq_distances(source, target)
+    assert_agrees(forward, sq)
+    assert_agrees(back, sq.T)
+
+
+def assert_agrees(table: MatchTable, sq: np.ndarray) -> None:
     first, back = sq.argmin(axis=1), sq.argmin(axis=0)
     smallest = np.sqrt(np.partition(sq, 1, axis=1)[:, :2])
-    np.testing.assert_array_equal(table.correspondences.indices, np.column_stack([np.arange(len(source)), first]))
+    np.testing.assert_array_equal(table.correspondences.indices, np.column_stack([np.arange(len(sq)), first]))
     np.testing.assert_array_equal(table.correspondences.distances, smallest[:, 0].astype(np.float32))
-    np.testing.assert_array_equal(table.mutual, back[first] == np.arange(len(source)))
-    ratios = np.divide(smallest[:, 0], smallest[:, 1], out=np.ones(len(source)), where=smallest[:, 1] > 0)
+    np.testing.assert_array_equal(table.mutual, back[first] == np.arange(len(sq)))
+    ratios = np.divide(smallest[:, 0], smallest[:, 1], out=np.ones(len(sq)), where=smallest[:, 1] > 0)
     np.testing.assert_array_equal(table.correspondences.ratios, ratios.astype(np.float32))
 
 

@@ -16,8 +16,8 @@ from cgf.pipeline import (
     describe,
     describe_cached,
     feature_key,
-    match_cached,
-    match_features,
+    match_both_cached,
+    match_both_features,
     prepare,
     resolve,
 )
@@ -164,26 +164,26 @@ def test_features_and_matches_are_read_where_they_were_computed_before(disk, pre
     half = replace(
         expected, indices=expected.indices[::2], vectors=expected.vectors[::2], quality=expected.quality[::2]
     )
-    table = match_features(expected, half, resolved)
+    tables = match_both_features(expected, half, resolved)
     for _ in range(2):
         found = describe_cached(prepared, resolved, disk)
         np.testing.assert_array_equal(found.indices, expected.indices)
         np.testing.assert_array_equal(found.vectors, expected.vectors)
         np.testing.assert_array_equal(found.quality, expected.quality)
         assert found.descriptor == "cgf"
-        matched = match_cached(found, half, resolved, disk)
-        for name in ("indices", "distances", "ratios"):
-            wanted = getattr(table.correspondences, name)
-            np.testing.assert_array_equal(getattr(matched.correspondences, name), wanted)
-        for name in ("mutual", "source_quality", "target_quality"):
-            np.testing.assert_array_equal(getattr(matched, name), getattr(table, name))
+        for matched, table in zip(match_both_cached(found, half, resolved, disk), tables, strict=True):
+            for name in ("indices", "distances", "ratios"):
+                wanted = getattr(table.correspondences, name)
+                np.testing.assert_array_equal(getattr(matched.correspondences, name), wanted)
+            for name in ("mutual", "source_quality", "target_quality"):
+                np.testing.assert_array_equal(getattr(matched, name), getattr(table, name))
         # From here on nothing is computed any more.
         monkeypatch.setattr(cache, "describe", None)
-        monkeypatch.setattr(cache, "match_features", None)
+        monkeypatch.setattr(cache, "match_both_features", None)
     with pytest.raises(TypeError):
         describe_cached(prepared, replace(resolved, support_radius=0.8), disk)
     with pytest.raises(TypeError):
-        match_cached(half, found, resolved, disk)
+        match_both_cached(half, found, resolved, disk)
 
 
 def moved(values):
