@@ -11,8 +11,8 @@ from cgf.geometry.parallel import for_each_block
 from cgf.matching.tiles import LANES, NEVER, ROWS, UNKNOWN, search_tiles, sq_distances
 from cgf.types import IsCancelled, Progress, raise_if_cancelled
 
-BLOCK = 42 * 12
-"""Source features searched at a time by one thread: 66 kB of 32 dimensions."""
+BLOCK = 40 * 12
+"""Source features searched at a time by one thread: 63 kB of 32 dimensions."""
 _CHUNK = 1_000_000
 """Values held in double precision at once."""
 

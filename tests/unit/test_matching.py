@@ -212,7 +212,7 @@ def test_progress_rises_to_one() -> None:
     source = features(unit_vectors(rng, 2 * BLOCK + 1, 4))
     match(source, source, progress=lambda share, _: told.append(share))
     assert told == sorted(told)
-    assert len(told) == 3
+    assert len(told) > 2
     assert told[-1] == 1
 
 
