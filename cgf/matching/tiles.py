@@ -70,19 +70,23 @@ class _Tile:
 
 @intrinsic
 @no_type_check
-def _score_tile(_context, source, target, row_bounds, lane_bounds, scores):
+def _score_tile(_context, source, p, target, q, row_bounds, lane_bounds, scores):
     """Write the scores of a tile; return a bit for each lane, then for each row, in which one reaches the bound.
 
-    `source` is (D + 1, ROWS) and `target` (D + 1, LANES); a score is the sum of their products over the first D, plus
-    the last of both.
+    The tile is that of panel p of `source` (P, D + 1, ROWS) and panel q of `target` (Q, D + 1, LANES); a score is the
+    sum of their products over the first D, plus the last of both. Bounds are those of all panels, one after the other.
     """
 
     def generate(context, builder, signature, args):
-        arrays = [
-            context.make_array(kind)(context, builder, value) for kind, value in zip(signature.args, args, strict=True)
-        ]
+        arrays = [context.make_array(signature.args[k])(context, builder, args[k]) for k in (0, 2, 4, 5, 6)]
         source, target, row_bounds, lane_bounds, scores = [array.data for array in arrays]
-        depth = builder.sub(builder.extract_value(arrays[0].shape, 0), _INT64(1))
+        height = builder.extract_value(arrays[0].shape, 1)
+        depth = builder.sub(height, _INT64(1))
+        # Slices of the arrays would cost the counting of references to them.
+        first_row, first_lane = builder.mul(args[1], _INT64(ROWS)), builder.mul(args[3], _INT64(LANES))
+        source = builder.gep(source, [builder.mul(first_row, height)])
+        target = builder.gep(target, [builder.mul(first_lane, height)])
+        row_bounds, lane_bounds = builder.gep(row_bounds, [first_row]), builder.gep(lane_bounds, [first_lane])
         tile = _Tile(builder)
         sums = [[cgutils.alloca_once(builder, _VECTOR) for _ in range(_VECTORS)] for _ in range(ROWS)]
         terms = tile.vectors(target, builder.mul(depth, _INT64(LANES)))
@@ -109,7 +113,7 @@ def _score_tile(_context, source, target, row_bounds, lane_bounds, scores):
                 builder.store(value, tile.address(scores, _INT64(r * LANES + k * _WIDTH)), align=4)
         return bits
 
-    return types.int64(source, target, row_bounds, lane_bounds, scores), generate
+    return types.int64(source, p, target, q, row_bounds, lane_bounds, scores), generate
 
 
 @njit(inline="always")
@@ -125,9 +129,9 @@ def _sq_distance(a, b):
 
 @njit
 @no_type_check
-def _is_nearer(point, others, rows, candidate, best):
+def _is_nearer(points, k, others, rows, candidate, best):
     """Exactly; of equal distances, the lower row is the nearer."""
-    sq, sq_best = _sq_distance(point, others[candidate]), _sq_distance(point, others[best])
+    sq, sq_best = _sq_distance(points[k], others[candidate]), _sq_distance(points[k], others[best])
     return sq < sq_best or (sq == sq_best and rows[candidate] < rows[best])
 
 
@@ -139,20 +143,6 @@ def sq_distances(a, b, rows_a, rows_b):
     for k in range(len(rows_a)):
         sq[k] = _sq_distance(a[rows_a[k]], b[rows_b[k]])
     return sq
-
-
-@njit(inline="always")
-@no_type_check
-def _take(score, doubt, point, others, rows, candidate, k, first, second, first_bounds, second_bounds):
-    """Let `candidate` be the nearest or second nearest of point number `k`, if it is; its score reaches the bound."""
-    doubts = np.float32(2.0) * doubt
-    if score > second_bounds[k] + doubts or _is_nearer(point, others, rows, candidate, second[k]):
-        bound = first_bounds[k]
-        if score > bound + doubts or (score >= bound and _is_nearer(point, others, rows, candidate, first[k])):
-            second[k], second_bounds[k] = first[k], bound
-            first[k], first_bounds[k] = candidate, score - doubt
-        else:
-            second[k], second_bounds[k] = candidate, score - doubt
 
 
 @njit(cache=True, nogil=True)
@@ -180,33 +170,48 @@ def search_tiles(source, target, rows, source_panels, target_panels, start, doub
     scores = np.empty((ROWS, LANES), np.float32)
     (first, second), (first_bounds, second_bounds) = forward, bounds
     (back_first, back_second), (back_first_bounds, back_second_bounds) = back, back_bounds
-    row_bounds, lane_bounds = second_bounds.reshape(-1, ROWS), back_second_bounds.reshape(-1, LANES)
     source_rows, target_rows = rows
+    doubts = np.float32(2.0) * doubt
     for q in range(len(target_panels)):
         for p in range(len(source_panels)):
-            bits = _score_tile(source_panels[p], target_panels[q], row_bounds[p], lane_bounds[q], scores)
+            bits = _score_tile(source_panels, p, target_panels, q, second_bounds, back_second_bounds, scores)
             if bits == 0:
                 continue
+            # The same twice, since arrays handed to a function here would cost the counting of references to them.
             for r in range(ROWS):
                 if not (bits >> (LANES + r)) & 1:
                     continue
                 row = p * ROWS + r
                 i = start + row
                 for lane in range(LANES):
-                    score, j = scores[r, lane], q * LANES + lane
-                    if score >= second_bounds[row]:
-                        _take(
-                            score, doubt, source[i], target, target_rows, j, row,
-                            first, second, first_bounds, second_bounds,
-                        )  # fmt: skip
+                    score, j, bound = scores[r, lane], q * LANES + lane, second_bounds[row]
+                    if score < bound:
+                        continue
+                    if score <= bound + doubts and not _is_nearer(source, i, target, target_rows, j, second[row]):
+                        continue
+                    bound = first_bounds[row]
+                    if score > bound + doubts or (
+                        score >= bound and _is_nearer(source, i, target, target_rows, j, first[row])
+                    ):
+                        second[row], second_bounds[row] = first[row], bound
+                        first[row], first_bounds[row] = j, score - doubt
+                    else:
+                        second[row], second_bounds[row] = j, score - doubt
             for lane in range(LANES):
                 if not (bits >> lane) & 1:
                     continue
                 j = q * LANES + lane
                 for r in range(ROWS):
-                    score, i = scores[r, lane], start + p * ROWS + r
-                    if score >= back_second_bounds[j]:
-                        _take(
-                            score, doubt, target[j], source, source_rows, i, j,
-                            back_first, back_second, back_first_bounds, back_second_bounds,
-                        )  # fmt: skip
+                    score, i, bound = scores[r, lane], start + p * ROWS + r, back_second_bounds[j]
+                    if score < bound:
+                        continue
+                    if score <= bound + doubts and not _is_nearer(target, j, source, source_rows, i, back_second[j]):
+                        continue
+                    bound = back_first_bounds[j]
+                    if score > bound + doubts or (
+                        score >= bound and _is_nearer(target, j, source, source_rows, i, back_first[j])
+                    ):
+                        back_second[j], back_second_bounds[j] = back_first[j], bound
+                        back_first[j], back_first_bounds[j] = i, score - doubt
+                    else:
+                        back_second[j], back_second_bounds[j] = i, score - doubt
