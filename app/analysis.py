@@ -30,7 +30,7 @@ Mask = npt.NDArray[np.bool_]
 
 PREVIEWED = ("cgf", "pca")
 """Descriptors that describe a few points in a fraction of the time of all."""
-PREVIEWS = ((0.06, 0.4), (0.4, 0.15))
+PREVIEWS = ((0.045, 0.4), (0.4, 0.15))
 """Time to describe the points of the first preview and of the next, in seconds, and of how many of all points at most.
 
 Beyond that share all of them come nearly as soon; the browser, too, takes its time to draw a preview.

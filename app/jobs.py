@@ -5,6 +5,9 @@ from collections.abc import Callable
 
 from cgf.types import Cancelled
 
+_WORTH_TELLING = 0.02
+"""Smallest step of progress; whoever listens takes the interpreter from the threads that compute."""
+
 
 class Job:
     """One request, as the code that works on it sees it."""
@@ -12,6 +15,7 @@ class Job:
     def __init__(self, on_progress: Callable[[float, str], None]) -> None:
         self._cancelled = threading.Event()
         self._on_progress = on_progress
+        self._told = ("", -1.0)
 
     def cancel(self) -> None:
         """Ask the work to stop at its next chance."""
@@ -40,9 +44,13 @@ class Job:
             raise Cancelled
 
     def progress(self, share: float, text: str) -> None:
-        """Tell how far the work is; stops it if nobody wants the result any more."""
+        """Tell how far the work is, if that is worth telling; stops it if nobody wants the result any more."""
         self.check()
-        self._on_progress(min(max(share, 0.0), 1.0), text)
+        share = min(max(share, 0.0), 1.0)
+        text_before, share_before = self._told
+        if text != text_before or abs(share - share_before) >= _WORTH_TELLING:
+            self._told = (text, share)
+            self._on_progress(share, text)
 
     def part(self, start: float, end: float, text: str | None = None) -> "Job":
         """This job for a piece of its work, from share `start` to `end`, which says `text` or what it says itself."""
