@@ -16,7 +16,8 @@ from cgf.descriptors.settings import (
     TILT_STEPS,
     HistogramKind,
 )
-from cgf.descriptors.spherical_histogram import shell_edges, unit_normals
+from cgf.descriptors.spherical_histogram import shell_edges
+from cgf.geometry.normals import unit_normals
 from cgf.types import IsCancelled, PointCloud, raise_if_cancelled
 
 if TYPE_CHECKING:

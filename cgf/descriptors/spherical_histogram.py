@@ -21,6 +21,7 @@ from cgf.descriptors.settings import (
 from cgf.descriptors.tile_layout import DEPTH, EDGE, HISTOGRAM_STEPS, INNERMOST_STEP, STEPS_OF_ELEVATION, Tiles
 from cgf.geometry.grid import Grid, axis_gap, build_grid, cell_range
 from cgf.geometry.lanes import LANES, gather_offsets, rounded, scale_counts
+from cgf.geometry.normals import unit_normals
 from cgf.geometry.parallel import for_each_block
 
 _BLOCK = 64
@@ -134,21 +135,11 @@ class HistogramGrid:
     ) -> None:
         sq_edges, edges = _edges_of(max(insets), self.support_radius, self.min_radius)
         _fill_histograms(
-            self.grid.local(centers),
-            frames.astype(np.float32),
-            tuple(self.grid.xyz),
-            None if self.normals is None else tuple(self.normals),
-            *self.grid.cells(),
-            np.float32(self.support_radius),
-            sq_edges,
-            edges,
-            soft,
-            insets,
-            rows,
-            tiles.numbers.reshape(-1),
-            tiles.used,
-            counts,
-        )
+            self.grid.local(centers), frames.astype(np.float32),
+            tuple(self.grid.xyz), None if self.normals is None else tuple(self.normals), *self.grid.cells(),
+            np.float32(self.support_radius), sq_edges, edges, soft, insets,
+            rows, tiles.numbers.reshape(-1), tiles.used, counts,
+        )  # fmt: skip
 
 
 def shell_edges(inset: int, *, support_radius: float, min_radius: float) -> Float64[np.ndarray, "E"]:
@@ -196,12 +187,6 @@ def histogram_grid(
     if normals is None:
         return HistogramGrid(grid, support_radius, min_radius)
     return HistogramGrid(grid, support_radius, min_radius, grid.sorted_columns(unit_normals(normals)))
-
-
-def unit_normals(normals: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 3"]:
-    """Normals of unit length; zeros where they have none or are not a number."""
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
 
 
 @njit(cache=True, nogil=True)

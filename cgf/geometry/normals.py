@@ -109,3 +109,9 @@ def _covariances_nearest(
     means = np.einsum("kn,kni->ki", weights, offsets)
     second = np.einsum("kn,kni,knj->kij", weights, offsets, offsets)
     return np.asarray(second - means[:, :, None] * means[:, None, :], dtype=np.float64)
+
+
+def unit_normals(normals: Float64[np.ndarray, "N 3"]) -> Float64[np.ndarray, "N 3"]:
+    """Normals of unit length; zeros where they have none or are not a number."""
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.asarray(np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0))
