@@ -22,11 +22,13 @@ CHECKED = 500
 
 def describe(data: Path | None, points: int, repeats: int, **_: object) -> Result:
     """Frame, histogram and network, for points spread over a scan."""
+    from cgf.descriptors.precision import chosen_precision
+
     scan = inputs.load_scan(data)
     rows = spread(len(scan.cloud), points)
     descriptor = inputs.describer(scan, model="object")
     timing = measure(lambda: descriptor.describe(scan.cloud, rows), repeats)
-    return {"time": asdict(timing.per(len(rows) / 1000)), "points": len(rows)}
+    return {"time": asdict(timing.per(len(rows) / 1000)), "points": len(rows), "precision": chosen_precision()}
 
 
 def histogram(data: Path | None, points: int, repeats: int, **_: object) -> Result:

@@ -68,7 +68,8 @@ def describing(plan: Plan) -> Group:
     two = run_alone("describe", threads=2, data=plan.data, points=plan.points, repeats=plan.repeats)
     ours, shared = timing_of(one, "time"), timing_of(two, "time")
     unit = "s / 1,000 points"
-    rows = [Row("32 dimensions, 1 thread", unit, ours, note=f"{one['points']:,} points", ours=True)]
+    note = f"{one['points']:,} points, in {one['precision']}"
+    rows = [Row("32 dimensions, 1 thread", unit, ours, note=note, ours=True)]
     # Few points of the slow ones: their times are shares of a run that nobody would wait for.
     peers = {
         "spin": ("Spin Images (PCL)", 1000, 2.0),

@@ -6,7 +6,6 @@ loop. Features differ from those of `cgf.descriptors.convolution` by the roundin
 """
 
 import ctypes
-import os
 import platform
 from dataclasses import dataclass
 from functools import lru_cache
@@ -58,18 +57,6 @@ def has_tiles() -> bool:
     if permitted:
         llvm.initialize_native_asmparser()
     return permitted
-
-
-def uses_tiles() -> bool:
-    """Whether the network computes in bfloat16: where it can, unless `CGF_PRECISION` is `float32`.
-
-    Raises:
-        ValueError: `CGF_PRECISION` is neither empty, `bfloat16` nor `float32`.
-    """
-    precision = os.environ.get("CGF_PRECISION", "")
-    if precision not in ("", "bfloat16", "float32"):
-        raise ValueError(f"CGF_PRECISION must be bfloat16 or float32, got {precision}")
-    return precision != "float32" and has_tiles()
 
 
 def pack_weights(weight: Float32[np.ndarray, "O I"], *, taps: int = _TAPS) -> UInt16[np.ndarray, "B S 1536"]:

@@ -28,7 +28,9 @@ from cgf.descriptors.settings import (
 
 if TYPE_CHECKING:
     from cgf.descriptors.amx import TiledNetwork
+    from cgf.descriptors.precision import Precision
     from cgf.descriptors.tile_layout import Tiles
+    from cgf.descriptors.vnni import ByteNetwork
 
 NetworkKind = Literal["azimuth", "paper", "pca"]
 Weights = dict[str, Float32[np.ndarray, "..."]]
@@ -164,7 +166,7 @@ class Network:
         Raises:
             ValueError: The environment asks for a precision that there is not.
         """
-        return self.card.kind == "azimuth" and self.card.oriented and _uses_tiles()
+        return self.card.kind == "azimuth" and self.card.oriented and _precision() == "bfloat16"
 
     def _outputs(
         self, hidden: Float32[np.ndarray, "R H"], count: int
@@ -193,8 +195,12 @@ class Network:
         return "quality.0.bias" in self.weights
 
     def _hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
-        if self.card.kind == "azimuth" and _uses_tiles():
-            return self._tiled.hidden(histograms)
+        if self.card.kind == "azimuth":
+            precision = _precision()
+            if precision == "bfloat16":
+                return self._tiled.hidden(histograms)
+            if precision == "int8" and self.card.oriented:
+                return _linear_relu(self._bytes.pooled(histograms), self.weights, "hidden")
         values = histograms
         if self.card.histogram != "counts":
             values = (np.sqrt(values) if self.card.histogram == "roots" else values) * np.float32(INPUT_GAIN)
@@ -209,6 +215,12 @@ class Network:
         return pack_network(self.weights, self.card.histogram)
 
     @cached_property
+    def _bytes(self) -> "ByteNetwork":
+        from cgf.descriptors.vnni import pack_network
+
+        return pack_network(self.weights)
+
+    @cached_property
     def _filtered(self) -> Weights:
         """The weights, with what `convolve_filled` and `convolve_circularly` take."""
         from cgf.descriptors.convolution import filter_tiles, pack_bins
@@ -220,11 +232,11 @@ class Network:
         return self.weights | layers
 
 
-def _uses_tiles() -> bool:
+def _precision() -> "Precision":
     # Compiled, so imported only where features are computed: reading a card takes no time.
-    from cgf.descriptors.amx import uses_tiles
+    from cgf.descriptors.precision import chosen_precision
 
-    return uses_tiles()
+    return chosen_precision()
 
 
 def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:

@@ -63,6 +63,10 @@ class Lanes:
     def where(self, yes: "Lanes", no: "Lanes") -> "Lanes":
         return Lanes(self.builder, self.builder.select(self.value, yes.value, no.value))
 
+    def where_true(self, mask: "Lanes") -> "Lanes":
+        """Integers where the mask is true, else 0."""
+        return Lanes(self.builder, self.builder.select(mask.value, self.value, ir.Constant(_INTS, None)))
+
     def to_ints(self) -> "Lanes":
         """1 where true, else 0."""
         return Lanes(self.builder, self.builder.zext(self.value, _INTS))

@@ -7,6 +7,7 @@ from cgf.descriptors import amx
 from cgf.descriptors.network import read_network, shipped_weights
 from cgf.descriptors.tile_layout import to_bfloat16
 from tests.histograms import random_histograms
+from tests.networks import random_weights
 
 tiles = pytest.mark.skipif(not amx.has_tiles(), reason="the processor multiplies no tiles of bfloat16 (AMX)")
 
@@ -29,17 +30,6 @@ def network_by_definition(weights, rows):
         around = [np.roll(columns, 1, axis=1), columns, np.roll(columns, -1, axis=1)]
         columns = layer(np.concatenate(around, axis=2), f"columns.{k}")
     return layer(np.concatenate([columns.max(axis=1), columns.mean(axis=1)], axis=1), "hidden")
-
-
-def random_weights(width, hidden, inputs):
-    rng = np.random.default_rng(6)
-    shapes = {"columns.0": (width, 3 * inputs // 12), "columns.1": (width, 3 * width), "columns.2": (width, 3 * width)}
-    shapes["hidden"] = (hidden, 2 * width)
-    weights = {}
-    for name, (outputs, inputs) in shapes.items():
-        weights[f"{name}.weight"] = rng.normal(scale=inputs**-0.5, size=(outputs, inputs)).astype(np.float32)
-        weights[f"{name}.bias"] = rng.normal(scale=0.1, size=outputs).astype(np.float32)
-    return weights
 
 
 def test_rounding_is_to_the_nearest_and_ties_go_to_even():
@@ -73,17 +63,3 @@ def test_features_are_those_of_single_precision(model, monkeypatch):
     assert (exact != rounded).any()
     assert np.linalg.norm(exact - rounded, axis=1).max() < 0.02
     np.testing.assert_allclose(rounded_quality, exact_quality, atol=0.02)
-
-
-def test_the_environment_names_the_precision(monkeypatch):
-    monkeypatch.setenv("CGF_PRECISION", "float32")
-    assert not amx.uses_tiles()
-    monkeypatch.setenv("CGF_PRECISION", "float16")
-    with pytest.raises(ValueError, match="CGF_PRECISION must be bfloat16 or float32, got float16"):
-        amx.uses_tiles()
-
-
-def test_without_such_registers_precision_is_single(monkeypatch):
-    monkeypatch.delenv("CGF_PRECISION", raising=False)
-    monkeypatch.setattr(amx, "has_tiles", lambda: False)
-    assert not amx.uses_tiles()
