@@ -166,7 +166,21 @@ class Network:
         Raises:
             ValueError: The environment asks for a precision that there is not.
         """
-        return self.card.kind == "azimuth" and self.card.oriented and _precision() == "bfloat16"
+        return self.card.oriented and self.precision == "bfloat16"
+
+    @property
+    def precision(self) -> "Precision":
+        """In which numbers this processor computes most of the network.
+
+        Raises:
+            ValueError: The environment asks for a precision that there is not.
+        """
+        # Compiled, so imported only where features are computed: reading a card takes no time.
+        from cgf.descriptors.precision import chosen_precision
+
+        chosen = chosen_precision()
+        can_round = self.card.kind == "azimuth" and (chosen == "bfloat16" or self.card.oriented)
+        return chosen if can_round else "float32"
 
     def _outputs(
         self, hidden: Float32[np.ndarray, "R H"], count: int
@@ -195,12 +209,11 @@ class Network:
         return "quality.0.bias" in self.weights
 
     def _hidden(self, histograms: Float32[np.ndarray, "K B"]) -> Float32[np.ndarray, "K H"]:
-        if self.card.kind == "azimuth":
-            precision = _precision()
-            if precision == "bfloat16":
-                return self._tiled.hidden(histograms)
-            if precision == "int8" and self.card.oriented:
-                return _linear_relu(self._bytes.pooled(histograms), self.weights, "hidden")
+        precision = self.precision
+        if precision == "bfloat16":
+            return self._tiled.hidden(histograms)
+        if precision == "int8":
+            return _linear_relu(self._bytes.pooled(histograms), self.weights, "hidden")
         values = histograms
         if self.card.histogram != "counts":
             values = (np.sqrt(values) if self.card.histogram == "roots" else values) * np.float32(INPUT_GAIN)
@@ -230,13 +243,6 @@ class Network:
             layers["bins"] = pack_bins(self.weights["columns.0.weight"])
             del layers["tiles.0"]
         return self.weights | layers
-
-
-def _precision() -> "Precision":
-    # Compiled, so imported only where features are computed: reading a card takes no time.
-    from cgf.descriptors.precision import chosen_precision
-
-    return chosen_precision()
 
 
 def expected_shapes(card: NetworkCard, weights: Weights) -> dict[str, tuple[int, ...]]:

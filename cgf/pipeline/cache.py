@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cgf.descriptors.device import requested_device
 from cgf.descriptors.network import Network, load_network
 from cgf.matching import MatchTable
 from cgf.pipeline.settings import ResolvedSettings
@@ -119,7 +120,7 @@ def feature_key(cloud: PointCloud, settings: ResolvedSettings) -> str:
     _add(digest.update, settings.descriptor, settings.model, settings.computed_dim, *lengths)
     if settings.descriptor in ("cgf", "pca"):
         network = load_network(settings.descriptor, settings.model, settings.weights)
-        _add(digest.update, _network_digest(network))
+        _add(digest.update, _network_digest(network), requested_device() or network.precision)
     _add(digest.update, cloud.points, cloud.normals)
     return digest.hexdigest()
 

@@ -233,6 +233,14 @@ def test_a_changed_weight_gives_another_key(prepared, resolved, tmp_path):
     assert len(keys) == 2
 
 
+def test_another_precision_gives_another_key(prepared, resolved, monkeypatch):
+    keys = set()
+    for precision in ("bfloat16", "int8", "float32"):
+        monkeypatch.setattr("cgf.descriptors.precision.chosen_precision", lambda precision=precision: precision)
+        keys.add(feature_key(prepared, resolved))
+    assert len(keys) == 3
+
+
 def test_changed_code_gives_another_key(prepared, resolved, monkeypatch, tmp_path):
     before = feature_key(prepared, resolved)
     package = tmp_path / "cgf"
