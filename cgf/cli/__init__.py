@@ -1,4 +1,4 @@
-"""The command `cgf`: describe, match, register, diagnose, evaluate, train.
+"""The command `cgf`: describe, match, register, diagnose, evaluate, train, rooms.
 
 A command is one entry of `COMMANDS`: its name, a line of help, a function that adds its options, and one that runs it
 and returns the exit status. `cgf-viewer` takes its options and its edge from `cgf.cli.common`, too.
@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NoReturn
 
-from cgf.cli import diagnose, evaluate, pairs, train
+from cgf.cli import diagnose, evaluate, pairs, rooms, train
 from cgf.cli.common import (
     Parser,
     add_feature_options,
@@ -90,4 +90,5 @@ COMMANDS = (
     Command("diagnose", "Say why two clouds do not register.", diagnose.add_options, diagnose.run),
     Command("evaluate", "Compare descriptors on data sets with known poses.", evaluate.add_options, evaluate.run),
     Command("train", "Train the network on meshes or scans.", train.add_options, train.run),
+    Command("rooms", "Make furnished rooms and scan them, to train on.", rooms.add_options, rooms.run),
 )

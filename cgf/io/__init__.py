@@ -10,6 +10,7 @@ from cgf.io.poses import (
     read_info,
     read_log,
     read_transform,
+    write_log,
     write_transform,
 )
 
@@ -28,5 +29,6 @@ __all__ = [
     "read_pairs",
     "read_transform",
     "write_cloud",
+    "write_log",
     "write_transform",
 ]

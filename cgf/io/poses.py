@@ -64,11 +64,7 @@ def write_transform(path: str | Path, target_from_source: Float64[np.ndarray, "4
     Raises:
         InputError: The file cannot be written.
     """
-    text = "\n".join(" ".join(repr(float(value)) for value in row) for row in target_from_source)
-    try:
-        Path(path).write_text(text + "\n", encoding="ascii")
-    except OSError as error:
-        raise InputError(f"{path} must be writable, got '{error.strerror}'; choose another place") from None
+    _write(path, _matrix_text(target_from_source))
 
 
 def read_log(path: str | Path) -> list[LogEntry]:
@@ -84,6 +80,16 @@ def read_log(path: str | Path) -> list[LogEntry]:
     return entries
 
 
+def write_log(path: str | Path, entries: list[LogEntry]) -> None:
+    """Write a trajectory log that `read_log` reads back to the last digit.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    blocks = [f"{e.target} {e.source} {e.total}\n{_matrix_text(e.target_from_source)}" for e in entries]
+    _write(path, "\n".join(blocks))
+
+
 def read_info(path: str | Path) -> list[InfoEntry]:
     """Read all information matrices that go with a trajectory log.
 
@@ -97,6 +103,17 @@ def index_in_name(name: str) -> int | None:
     """The last number in the stem of a file name: 7 for `cloud_bin_7.ply`."""
     numbers = re.findall(r"\d+", Path(name).stem)
     return int(numbers[-1]) if numbers else None
+
+
+def _matrix_text(matrix: Float64[np.ndarray, "4 4"]) -> str:
+    return "\n".join(" ".join(repr(float(value)) for value in row) for row in matrix)
+
+
+def _write(path: str | Path, text: str) -> None:
+    try:
+        Path(path).write_text(text + "\n", encoding="ascii")
+    except OSError as error:
+        raise InputError(f"{path} must be writable, got '{error.strerror}'; choose another place") from None
 
 
 def _choose(entries: list[LogEntry], path: Path, source: int | None, target: int | None) -> Float64[np.ndarray, "4 4"]:

@@ -8,6 +8,7 @@ import pytest
 from cgf.checks import InputError
 from cgf.geometry.transforms import invert, random_rigid
 from cgf.io import (
+    LogEntry,
     PairFiles,
     index_in_name,
     logged_pairs,
@@ -17,6 +18,7 @@ from cgf.io import (
     read_pairs,
     read_transform,
     write_cloud,
+    write_log,
     write_transform,
 )
 from tests.cloud_files import save, small_cloud
@@ -212,3 +214,13 @@ def test_clouds_beyond_the_limit_are_read_again(folder, monkeypatch):
 def test_pairs_without_pose_can_be_read(folder):
     pair = PairFiles("two", folder / "cloud_0.ply", folder / "cloud_1.ply").read()
     assert pair.target_from_source is None
+
+
+def test_a_written_log_reads_back_to_the_last_digit(tmp_path):
+    entries = [LogEntry(target=0, source=3, total=4, target_from_source=POSE), LogEntry(1, 2, 4, OTHER)]
+    write_log(tmp_path / "gt.log", entries)
+    for found, entry in zip(read_log(tmp_path / "gt.log"), entries, strict=True):
+        assert (found.target, found.source, found.total) == (entry.target, entry.source, entry.total)
+        np.testing.assert_array_equal(found.target_from_source, entry.target_from_source)
+    with pytest.raises(InputError, match=r"gt\.log must be writable, got 'No such file or directory'; choose another"):
+        write_log(tmp_path / "missing" / "gt.log", entries)
