@@ -23,7 +23,7 @@ _LEAST = np.float32(1e-30)
 @intrinsic
 @no_type_check
 def _largest(_context, values, start, count):
-    """The largest absolute value of `values[start : start + count]`, a multiple of 16."""
+    """The largest absolute value of so many `values` from `start` on, rounded up to whole vectors of 16."""
 
     def generate(context, builder, signature, args):
         write = Writer(context, builder)
@@ -139,7 +139,11 @@ def _round_row(_context, values, start, count, factor, rounded):
 @no_type_check
 def round_bins(values, bins, filled, counts, sums):
     """Round a histogram (8976,) into `bins`; return the length of a step, and per sector the `sums` of its bytes."""
-    step = max(_largest(values, 0, len(values)), _LEAST) / np.float32(127.0)
+    largest = _LEAST
+    for sector in range(AZIMUTH_BINS):
+        # No component of the mean normals is larger than the root that it is multiplied by, the first channel.
+        largest = max(largest, _largest(values, sector * CHANNELS * COLUMN_BINS, COLUMN_BINS))
+    step = largest / np.float32(127.0)
     for sector in range(AZIMUTH_BINS):
         first = sector * CHANNELS * COLUMN_BINS
         sums[sector] = _round_sector(values, first, np.float32(1.0) / step, bins, sector * SECTOR_ROOM)
