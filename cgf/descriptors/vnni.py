@@ -237,7 +237,7 @@ def pack_network(weights: dict[str, Float32[np.ndarray, "..."]]) -> ByteNetwork:
     """Round and pack the three convolutions of an azimuth network whose histograms have normals."""
     channels = [len(weights[f"columns.{i}.bias"]) for i in range(3)]
     width = -(-max(channels) // _WIDE_BLOCK) * _WIDE_BLOCK
-    scales, biases = np.ones((3, width), np.float32), np.zeros((3, width), np.float32)
+    scales, biases = np.zeros((2, 3, width), np.float32)
     rounded = []
     for i, outputs in enumerate(channels):
         weight = weights[f"columns.{i}.weight"]
