@@ -15,7 +15,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="LIBRARY.sh3f",
         help="models of furniture: libraries of the program Sweet Home 3D, e.g. of Debian's sweethome3d-furniture",
     )
-    parser.add_argument("-o", "--output", type=Path, required=True, metavar="FOLDER", help="of a folder for each room")
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FOLDER",
+        help="of rooms; those there are kept",
+    )
     parser.add_argument("--count", type=int, default=100, metavar="N", help="rooms (default: 100)")
     parser.add_argument("--fragments", type=int, default=12, metavar="N", help="of each room (default: 12)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="same seed and libraries, same rooms")

@@ -11,10 +11,12 @@ from cgf.descriptors.settings import MODEL_DEFAULTS
 from cgf.geometry.transforms import apply
 from cgf.io import read_cloud, read_log
 from cgf.training.fragments import fragments_of_scenes
+from cgf.training.rooms import scanning
 from cgf.training.rooms.furnishing import furnish
 from cgf.training.rooms.furniture import read_libraries
 from cgf.training.rooms.making import make_rooms
-from cgf.training.rooms.scanning import scan
+from cgf.training.rooms.scanning import scan, write_scene
+from cgf.types import PointCloud
 
 BOX = """
 o box
@@ -170,3 +172,16 @@ def test_the_command_refuses_too_few(library, tmp_path, capsys):
     assert "count must be 1 or more, got 0" in capsys.readouterr().err
     assert cli.main(["rooms", str(library), "-o", str(tmp_path / "rooms"), "--fragments", "1"]) == 2
     assert "fragments must be 2 or more, got 1" in capsys.readouterr().err
+
+
+def test_nothing_is_written_of_a_room_whose_fragments_do_not_overlap(tmp_path):
+    rng = np.random.default_rng(0)
+    clouds = [PointCloud(rng.uniform(size=(500, 3)) + offset) for offset in (0, 50)]
+    assert write_scene(tmp_path / "room", clouds, [np.eye(4), np.eye(4)]) == 0
+    assert not (tmp_path / "room").exists()
+
+
+def test_a_room_in_which_nothing_can_be_seen_gives_no_fragments(monkeypatch):
+    monkeypatch.setattr(scanning, "_FEWEST", 10**9)
+    room = furnish([], np.random.default_rng(4))
+    assert scan(room, count=1, rng=np.random.default_rng(4)) == ([], [])

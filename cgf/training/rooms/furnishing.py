@@ -43,7 +43,8 @@ def furnish(models: Sequence[Model], rng: np.random.Generator) -> Room:
     spots = []
     for at_wall, count in ((True, size[:2].sum() * rng.uniform(1.2, 2.4)), (False, size[0] * size[1] / 3)):
         for _ in range(rng.poisson(count)):
-            mesh = _varied(standing[rng.integers(len(standing))], rng) if rng.random() < 0.8 else _cabinet(rng)
+            is_model = bool(standing) and rng.random() < 0.8
+            mesh = _varied(standing[rng.integers(len(standing))], rng) if is_model else _cabinet(rng)
             placed = _placed(mesh, size, taken, rng, at_wall=at_wall)
             if placed is not None:
                 parts.append(placed)

@@ -36,7 +36,6 @@ class Model:
     """A piece of furniture, in metres: z up, its back at the lowest y, centred in x and y, standing on z = 0."""
 
     name: str
-    category: str
     size: Float64[np.ndarray, "3"]
     elevation: float
     """Of its lowest point above the floor, where it hangs."""
@@ -96,7 +95,7 @@ def _read(archive: zipfile.ZipFile, entry: dict[str, str]) -> Model | None:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices = (vertices - [*(low + high)[:2] / 2, low[2]]) * (size / np.maximum(high - low, 1e-6))
     elevation = _CENTIMETRE * float(entry.get("elevation", 0))
-    return Model(entry.get("name", name), entry.get("category", ""), size, elevation, Mesh(vertices, mesh.triangles))
+    return Model(entry.get("name", name), size, elevation, Mesh(vertices, mesh.triangles))
 
 
 def _read_obj(data: bytes) -> Mesh:

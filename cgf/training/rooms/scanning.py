@@ -24,6 +24,8 @@ _SPACING = 0.012
 _DISPARITY_STEP = 0.00285 / 2
 """Per square metre of distance: half the camera's own step, since several images are fused."""
 _STEEPEST_COSINE = 0.12
+_FEWEST, _TRIES = 5_000, 10
+"""Points of a fragment that is kept, and paths that are tried for each."""
 _OVERLAP_VOXEL = 0.04
 """Clouds are compared at this spacing, in metres, which is more than the noise."""
 _CLEARANCE = 0.3
@@ -31,7 +33,7 @@ _CLEARANCE = 0.3
 
 
 def scan(room: Room, *, count: int, rng: np.random.Generator) -> tuple[list[PointCloud], list[Transform]]:
-    """Take `count` fragments of a room.
+    """Take `count` fragments of a room, or fewer where hardly anything can be seen.
 
     Returns:
         Clouds with the first camera of each at the origin, looking along z; and room_from_cloud of each.
@@ -41,10 +43,12 @@ def scan(room: Room, *, count: int, rng: np.random.Generator) -> tuple[list[Poin
     spots = room.spots[some] if len(some) else room.size[None] * [0.5, 0.5, 0.3]
     clouds: list[PointCloud] = []
     poses: list[Transform] = []
-    while len(clouds) < count:
+    for _ in range(_TRIES * count):
+        if len(clouds) == count:
+            break
         path = _path(scene, room, spots[rng.integers(len(spots))], rng)
         cloud = _fragment(scene, path, rng)
-        if len(cloud) > 5_000:
+        if len(cloud) > _FEWEST:
             clouds.append(cloud)
             poses.append(path[0])
     return clouds, poses
@@ -53,17 +57,17 @@ def scan(room: Room, *, count: int, rng: np.random.Generator) -> tuple[list[Poin
 def write_scene(folder: Path, clouds: list[PointCloud], poses: list[Transform]) -> int:
     """Write cloud_bin_N.ply and then gt.log, the relative poses of all pairs that overlap; returns their number.
 
-    No log is written where none overlaps.
+    Nothing is written where none overlaps.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    for number, cloud in enumerate(clouds):
-        write_cloud(folder / f"cloud_bin_{number}.ply", cloud)
     placed = [move(pose, voxel_downsample(cloud, _OVERLAP_VOXEL)) for cloud, pose in zip(clouds, poses, strict=True)]
     entries = [
         LogEntry(target=i, source=j, total=len(clouds), target_from_source=np.linalg.inv(poses[i]) @ poses[j])
         for i, j in overlapping_pairs(placed)
     ]
     if entries:
+        folder.mkdir(parents=True, exist_ok=True)
+        for number, cloud in enumerate(clouds):
+            write_cloud(folder / f"cloud_bin_{number}.ply", cloud)
         write_log(folder / "gt.log", entries)
     return len(entries)
 
